@@ -31,6 +31,17 @@ def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
     return array
 
 
+def numbers(who: str, name: str, value: ArrayLike | None) -> FloatArray:
+    """Return one real number or several, finite, as a one-dimensional array."""
+    try:
+        array = np.atleast_1d(np.asarray(value))
+        if array.dtype.kind not in "biuf":  # text, None, complex numbers
+            raise ValueError
+    except ValueError:
+        raise InputError(f"{who}: '{name}' must be one number or several, got {value!r}.") from None
+    return real_array(who, name, array, 1)
+
+
 def signal_array(who: str, name: str, value: ArrayLike) -> FloatArray:
     """Return signals as `(channel, sample)`; one dimension is one channel."""
     try:
@@ -103,8 +114,10 @@ def yes_or_no(who: str, name: str, value: Any) -> None:
 
 def one_of(who: str, name: str, value: str, choices: Sequence[str]) -> str:
     """Return `value` when it is among the choices."""
-    if value not in choices:
-        raise InputError(f"{who}: '{name}' must be one of {', '.join(map(repr, choices))}, got {value!r}.")
+    # whether an array is among them has no one answer
+    if isinstance(value, np.ndarray) or value not in choices:
+        got = "an array" if isinstance(value, np.ndarray) else repr(value)
+        raise InputError(f"{who}: '{name}' must be one of {', '.join(map(repr, choices))}, got {got}.")
     return value
 
 
@@ -138,6 +151,8 @@ def _in(unit: str) -> str:
 
 def _number(who: str, name: str, value: Any) -> float:
     try:
+        if np.ndim(value) or np.iscomplexobj(value):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{who}: '{name}' must be a number, got {value!r}.") from None

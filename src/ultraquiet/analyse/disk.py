@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import Margins, default_grid, even_sensitivity, grid_given, margins_of
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
 from ultraquiet.analyse.peaks import Crossings, diagonal, diagonal_at, ends, refined
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import append, gain, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -95,6 +96,7 @@ def disk_ranges(alpha: ArrayLike, skew: float = 0.0) -> tuple[FloatArray, FloatA
     return low, high, np.where(a == 0, 0.0, phase)
 
 
+@takes_systems
 def disk_margin(
     plant: StateSpace,
     controller: StateSpace,
@@ -128,6 +130,7 @@ def disk_margin(
     return _inverse(mu_peak(seen, f_hz=f_hz)[0])
 
 
+@takes_systems
 def disk_margins(
     plant: StateSpace,
     controller: StateSpace,

@@ -12,6 +12,7 @@ from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.linalg.response import principal_gains
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft, series
 from ultraquiet.values.state_space import StateSpace
 
@@ -79,6 +80,7 @@ class Gang:
         return {name: peak_gain(system) for name, system in self.members.items()}
 
 
+@takes_systems
 def gang_of_four(plant: StateSpace, controller: StateSpace) -> dict[str, StateSpace]:
     """Return S, T, KS and GS of a loop at the plant's outputs.
 
@@ -105,6 +107,7 @@ def gang_of_four(plant: StateSpace, controller: StateSpace) -> dict[str, StateSp
     return {"S": six.So, "T": six.To, "KS": six.KSo, "GS": six.GSi}
 
 
+@takes_systems
 def gang_of_six(plant: StateSpace, controller: StateSpace, prefilter: StateSpace | None = None) -> Gang:
     """Return both sensitivities, both complementary ones, K So and G Si, and with a prefilter the way of a reference.
 

@@ -10,6 +10,7 @@ from ultraquiet.analyse.margins import default_grid, even_inputs, pulled_in
 from ultraquiet.analyse.peaks import refined, response_at
 from ultraquiet.analyse.plant_scale import unit_peaks
 from ultraquiet.linalg.norms import largest_gains
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -20,6 +21,7 @@ SPARSE = 20  # of the lines of a grid, one of so many tells how large a channel'
 BAND_LINES = 400  # over a band that is asked for, besides those of the poles
 
 
+@takes_systems
 def loop_response(plant: StateSpace, controller: StateSpace, f_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return S = (I - G K)^-1 and K S at each line.
 
@@ -104,6 +106,7 @@ def closed_system(plant: StateSpace, controller: StateSpace) -> StateSpace:
     return lft(StateSpace(plant.A, B, C, D, plant.rate_hz), controller, measurements=ny, controls=nu)
 
 
+@takes_systems
 def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> tuple[float, float]:
     """Return by how much a loop attenuates its worst direction over a band, and where that is least.
 

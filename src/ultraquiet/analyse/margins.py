@@ -19,6 +19,7 @@ from ultraquiet.analyse.peaks import (
     refined,
 )
 from ultraquiet.linalg.even import evened
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -50,6 +51,7 @@ class Margins:
     disk: FloatArray
 
 
+@takes_systems
 def peak_sensitivity(plant: StateSpace, controller: StateSpace) -> tuple[float, float]:
     """Return the largest amplification of the loop in dB and its frequency in Hz.
 
@@ -73,6 +75,7 @@ def peak_sensitivity(plant: StateSpace, controller: StateSpace) -> tuple[float, 
     return (20 * float(np.log10(gain)) if np.isfinite(gain) else np.inf), f_hz
 
 
+@takes_systems
 def loop_margins(
     plant: StateSpace, controller: StateSpace, side: str = "output", f_hz: ArrayLike | None = None
 ) -> Margins:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.zeros import invariant_zeros
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -30,6 +31,7 @@ class Roots:
         return self.values.size
 
 
+@takes_systems
 def poles(G: StateSpace) -> Roots:
     """Return the poles of a system.
 
@@ -45,6 +47,7 @@ def poles(G: StateSpace) -> Roots:
     return roots(G.poles(), G.rate_hz)
 
 
+@takes_systems
 def zeros(G: StateSpace) -> Roots:
     """Return the invariant zeros of a system; its transmission zeros when the realisation is minimal.
 

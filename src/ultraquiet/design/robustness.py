@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from math import inf, isfinite, log10
 from typing import Any
 
-from ultraquiet._base.constraints import between
+import numpy as np
+
+from ultraquiet._base.constraints import between, numbers
 from ultraquiet._base.shown.line import hertz
 from ultraquiet.analyse.disk import ENDS, ChannelChange, EndMargins, disk_ranges, end_margins
 from ultraquiet.values.channel import Channel
@@ -28,7 +30,12 @@ class StatedRobustness:
     disk_margin: float = DISK_MARGIN
 
     def __post_init__(self) -> None:
-        between(type(self).__name__, "disk_margin", self.disk_margin, 0.0, WIDEST)
+        who = type(self).__name__
+        between(who, "disk_margin", self.disk_margin, 0.0, WIDEST)
+        tones = getattr(self, "tones_hz", ())
+        found = numbers(who, "tones_hz", tones)
+        if not np.ndim(tones):
+            object.__setattr__(self, "tones_hz", tuple(found.tolist()))
 
 
 def both_ends(plant: StateSpace, controller: StateSpace) -> dict[str, EndMargins]:

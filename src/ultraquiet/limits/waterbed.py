@@ -5,12 +5,14 @@ import numpy as np
 from ultraquiet._base.constraints import between, positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet.limits import half_plane
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "waterbed_peak"
 DB = float(20 / np.log(10))
 
 
+@takes_systems
 def waterbed_peak(
     plant: StateSpace,
     band_hz: tuple[float, float],

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, positive, rising_band
+from ultraquiet._base.constraints import FloatArray, numbers, positive, rising_band
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import counted
@@ -16,6 +16,7 @@ from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.h2.usual_numbers import UsualVariances
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
+from ultraquiet.design.stabilisability import BORDER, place
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.door import takes_systems
@@ -70,7 +71,8 @@ class Modal(StatedRobustness):
             rising_band("Modal", self.band_hz)
         if isinstance(self.zeta, list):
             object.__setattr__(self, "zeta", tuple(self.zeta))
-        if np.any(np.asarray(self.zeta) <= 0) or np.any(np.asarray(self.zeta) >= 1):
+        zeta = numbers("Modal", "zeta", self.zeta)
+        if np.any(zeta <= 0) or np.any(zeta >= 1):
             raise InputError(f"Modal: 'zeta' must lie between 0 and 1, got {self.zeta}.")
 
     @takes_systems
@@ -108,6 +110,7 @@ class Modal(StatedRobustness):
         disturbance, noise = self._variances(plant)
         try:
             F, modes = self._feedback(plant, self.band_hz)
+            _require_moved(plant.A + plant.B @ F, plant.rate_hz, self.band_hz)
             Q = plant.B @ plant.B.T * disturbance
             R = noise * np.eye(plant.D.shape[0])
             filtering = discrete_riccati(plant.A.T, plant.C.T, Q, R)
@@ -148,6 +151,21 @@ class Modal(StatedRobustness):
                 target = np.exp(w * (-after + 1j * np.sqrt(1 - after**2)) / rate)
                 F = F + _moved(plant.A + plant.B @ F, plant.B, np.exp(pole / rate), target)
         return F, modes
+
+
+def _require_moved(A: FloatArray, rate_hz: float | None, band_hz: tuple[float, float]) -> None:
+    """Refuse what state feedback leaves on or beyond the circle: an unstable mode that is none of those to be damped.
+
+    Raises:
+        NumericalError: the sentence.
+    """
+    poles = np.linalg.eigvals(A)
+    left = poles[np.abs(poles) >= 1 - BORDER]
+    if left.size:
+        raise NumericalError(
+            f"a mode of the plant that is not stable, {place(left[0], rate_hz)}, stays where it is, for only complex "
+            f"pairs within {band_hz[0]:.4g}-{band_hz[1]:.4g} Hz are moved; stabilise it by another method."
+        )
 
 
 def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> FloatArray:

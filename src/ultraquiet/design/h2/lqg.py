@@ -30,7 +30,7 @@ from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain
-from ultraquiet.values.door import takes_systems
+from ultraquiet.values.door import system, takes_systems
 from ultraquiet.values.generalised import full
 from ultraquiet.values.interconnect import append, feedback, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
@@ -117,9 +117,12 @@ class Lqg(StatedRobustness):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in NUMBERS:
+        for name in (*NUMBERS, "control_hz"):
             if getattr(self, name) is not None:
                 positive("Lqg", name, getattr(self, name))
+        for name in ("output_weight", "input_weight"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, system("Lqg", name, getattr(self, name)))
         between("Lqg", "recovery", self.recovery, 1.0, np.finfo(float).max)
         one_of("Lqg", "recovery_at", self.recovery_at, ("input", "output"))
         if self.disturbance_at is not None:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, positive, real_array
+from ultraquiet._base.constraints import FloatArray, between, positive, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg.realize import sections
 from ultraquiet.values.interconnect import append, gain, series
@@ -99,6 +99,7 @@ def integrator(who: str, corner_hz: float, leak_hz: float, rate_hz: float) -> St
     A leak of 0 Hz is a pure integrator, with its pole exactly at z = 1.
     """
     positive(who, "integral_hz", corner_hz, "Hz")
+    between(who, "integral_leak_hz", leak_hz, 0.0, float(np.finfo(float).max), "Hz")
     if not 0 <= leak_hz < corner_hz or corner_hz >= rate_hz / 2:
         raise InputError(
             f"{who}: 'integral_hz' must lie above 'integral_leak_hz' and below Nyquist, {rate_hz / 2:g} Hz, got "

@@ -115,7 +115,7 @@ class BandAttenuation(StatedRobustness):
         object.__setattr__(self, "structure", structure_word(WHO, self.structure, (FULL, REPEATED)))
         for name in ("tone_height", "tone_zeta", "margin"):
             positive(WHO, name, getattr(self, name))
-        for name in NUMBERS:
+        for name in (*NUMBERS, "peak_db"):
             if getattr(self, name) is not None:
                 positive(WHO, name, getattr(self, name))
 

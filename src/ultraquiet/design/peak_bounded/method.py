@@ -30,6 +30,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, SYMMETRIC, structure_word
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.response import principal_gains
+from ultraquiet.values.door import system
 from ultraquiet.values.interconnect import of_one_channel
 from ultraquiet.values.state_space import StateSpace
 
@@ -298,8 +299,9 @@ class PeakBounded(StatedRobustness):
 
 
 def _checked(plant: Plants) -> list[StateSpace]:
-    plants = [plant] if isinstance(plant, StateSpace) else list(plant)
-    if not plants or not all(isinstance(each, StateSpace) for each in plants):
+    several = list(plant) if isinstance(plant, Sequence) and not isinstance(plant, str) else [plant]
+    plants = [system(WHO, "plant", each) for each in several]
+    if not plants:
         raise InputError(f"{WHO}: a plant or a sequence of plants is needed, got {plant!r}.")
     for k, other in enumerate(plants[1:], 2):
         same_rate(WHO, "plant 1", plants[0].rate_hz, f"plant {k}", other.rate_hz)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, real_array
+from ultraquiet._base.constraints import ComplexArray, FloatArray, numbers
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
 from ultraquiet.values.interconnect import feedback, gain, parallel
@@ -45,7 +45,7 @@ def inner_loop(who: str, plant: StateSpace, around: Around, stable: bool = True)
     """
     if plant.rate_hz is None:
         raise InputError(f"{who}: the plant is in continuous time; discretise it first.")
-    if around is None or around == "":
+    if around is None or (isinstance(around, str) and not around):
         first = gain(np.zeros(plant.D.shape[::-1]), plant.rate_hz)
         if stable and not plant.is_stable():
             raise InputError(f"{who}: the plant is unstable by itself; give a stabilising controller as 'around'.")
@@ -75,7 +75,7 @@ def _made(who: str, plant: StateSpace, around: StateSpace | str) -> StateSpace:
 
 def settlings(who: str, settling_s: float | tuple[float, ...], tones: int) -> FloatArray:
     """Return the time that each tone is given to settle, seconds, `(tones,)`; one number is that of all."""
-    times = real_array(who, "settling_s", np.atleast_1d(np.asarray(settling_s)), 1)
+    times = numbers(who, "settling_s", settling_s)
     if not times.min(initial=np.inf) > 0:
         raise InputError(f"{who}: 'settling_s' must be above zero, got {times.min():g}.")
     if times.size not in (1, tones):
@@ -85,7 +85,7 @@ def settlings(who: str, settling_s: float | tuple[float, ...], tones: int) -> Fl
 
 def checked_tones(who: str, tones_hz: tuple[float, ...], rate_hz: float) -> FloatArray:
     """Return tones in Hz, all different, above zero and below half the rate."""
-    tones = real_array(who, "tones_hz", np.atleast_1d(np.asarray(tones_hz)), 1)
+    tones = numbers(who, "tones_hz", tones_hz)
     if not tones.size:
         raise InputError(
             f"{who}: 'tones_hz' names no tone to work against; give their frequencies in Hz, which a spectrum of the "

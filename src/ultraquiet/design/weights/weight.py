@@ -51,7 +51,8 @@ def weight(
 
 def _from_numbers(who: str, name: str, setting: Sequence[float] | float, rate_hz: float | None) -> StateSpace:
     try:
-        numbers = [float(x) for x in np.atleast_1d(np.asarray(setting))]
+        given = np.atleast_1d(np.asarray(setting))
+        numbers = [] if np.iscomplexobj(given) else [float(x) for x in given]
     except (TypeError, ValueError):
         numbers = []
     if not np.all(np.isfinite(numbers)) or not all(x > 0 for x in numbers) or len(numbers) not in (1, 3, 4):
