@@ -211,7 +211,7 @@ COMMANDS = {
     f"{IDENTIFY} --order ''": ("'--order'", "given nothing"),
     "design plant.h5 --out ''": ("'--out'", "given nothing"),
     "design plant.h5 --method lqg --set band_hz=[nan,10]": ("band_hz", "NaN"),
-    "design plant.h5 --method lqg --set control_hz=-5": ("control_hz", "below zero"),
+    "design plant.h5 --method lqg --set control_hz=-5": ("Lqg: 'control_hz'", "above zero", "got -5"),
     "deploy law.h5 --out ''": ("'--out'", "given nothing"),
     "convert record.h5 ''": ("argument 2", "given nothing"),
     "convert run.csv run.csv --force": ("run.csv", "the file that is read", "another name"),

@@ -203,3 +203,11 @@ def test_a_circle_that_tells_nothing_is_followed_by_the_next(monkeypatch):
     assert found[0] == pytest.approx(20.0)
     assert np.isposinf(found[1])
     assert np.isnan(found[2])
+
+
+def test_a_limit_that_was_to_be_certified_and_was_not_says_so(monkeypatch):
+    monkeypatch.setattr(search.certificate, "lowest_level", lambda *_: 0.0)
+    limit = best_flat_attenuation(LAG, (20.0, 100.0), 6.0, control_gain=10.0, basis=30)
+    assert limit.status.word == "not certified"
+    assert "no bound was certified" in limit.status.sentence
+    assert best_flat_attenuation(LAG, (20.0, 100.0), 6.0, control_gain=10.0, basis=30, certify=False).status.ok

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet.linalg import response
-from ultraquiet.linalg.modes.modal_spread import Ended, ModalSensitivities
+from ultraquiet.linalg.modes.modal_spread import ModalSensitivities, RecordEnd
 
 STEP = 1e-6
 
@@ -45,7 +45,7 @@ def test_sensitivities_are_those_of_a_record_from_rest_and_from_any_state(rng, n
         axis=2,
     )  # fmt: skip
     U = np.fft.rfft(u, axis=1)[:, lines].T
-    found = at.of(z, U, Ended.of(at.A, at.B, at.blocks, u))
+    found = at.of(z, U, RecordEnd.of(at.A, at.B, at.blocks, u))
     assert found.shape == expected.shape
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
     steady = at.of(z, U)

@@ -107,7 +107,10 @@ class LimitSearch:
             others = solution if noise is None else solve_on(functions, demands, solution.active)
             bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
         half_db = float("nan") if bounded_by else self._half(scale, demands, solution, noise_gain)
-        return *self._judged(wishes, solution, solution.weights * scale, bound, half_db), solution
+        found, broken = self._judged(wishes, solution, solution.weights * scale, bound, half_db)
+        if certify and found.status.ok and not np.isfinite(bound):
+            found = replace(found, status=Status(StatusWord.NOT_CERTIFIED, found.status.sentence))
+        return found, broken, solution
 
     def _half(self, scale: float, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None) -> float:
         """Return the attenuation in dB that every other section of the basis reaches on the same points."""

@@ -19,7 +19,7 @@ LEAST_DECAY = 1e-12
 SAMPLES_AT_ONCE = 4096
 
 
-class Ended(NamedTuple):
+class RecordEnd(NamedTuple):
     """Where a record from rest ends: per block of modes, what its states have become of what drove them.
 
     A record is no period: of x+ = A x + B u, the transform over n samples is (z - A)^-1 (B U + z (x_0 - x_n)), and
@@ -38,7 +38,7 @@ class Ended(NamedTuple):
     turned: FloatArray
 
     @classmethod
-    def of(cls, A: FloatArray, B: FloatArray, blocks: Sequence[int], u: FloatArray) -> "Ended":
+    def of(cls, A: FloatArray, B: FloatArray, blocks: Sequence[int], u: FloatArray) -> "RecordEnd":
         """Return it for real modal blocks [[re, im], [-im, re]], of which x1 - j x2 is the complex state."""
         (n, nu), samples = B.shape, u.shape[1]
         starts = np.concatenate([[0], np.cumsum(blocks)[:-1]]).astype(int)
@@ -89,7 +89,7 @@ class ModalSensitivities:
                 dA[rows, rows] = part * decay
                 yield dA
 
-    def of(self, z: ComplexArray, u: ComplexArray, ended: Ended | None = None) -> ComplexArray:
+    def of(self, z: ComplexArray, u: ComplexArray, ended: RecordEnd | None = None) -> ComplexArray:
         """Return d y / d theta `(nf, ny, p)` for input spectra `(nf, nu)`: steady, or of a record that ended so.
 
         Of a record n columns more are by the states that it began with.
@@ -140,7 +140,7 @@ def spread_root(
     lines = np.arange(1, (n + 1) // 2)
     z = np.exp(2j * np.pi * lines / n)
     U = np.fft.rfft(inputs, axis=1)[:, lines].T
-    ended = Ended.of(at.A, at.B, at.blocks, inputs)
+    ended = RecordEnd.of(at.A, at.B, at.blocks, inputs)
     level = np.sqrt(spectra(v, z)) if colored else np.ones((lines.size, ny))
     root, weigh = np.linalg.cholesky(V), np.linalg.cholesky(W).T
     M, Q = np.zeros((2, 1, 1))

@@ -202,7 +202,7 @@ def _of_residuals(p: ResidualFacts) -> str:
     meaning = (
         f"the model leaves {' and '.join(left)} unexplained, so a law needs margins"
         if left
-        else "the model leaves nothing of them unexplained"
+        else "the median channel leaves nothing that such a test tells from chance"
     )
     return (
         f"Residuals of the preferred model on held-out records: median p-value {chance(white)} that they are white, "
