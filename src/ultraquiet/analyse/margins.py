@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.constraints import ComplexArray, FloatArray, some_lines
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.peaks import (
     Channels,
@@ -187,10 +186,7 @@ def _least(crossings: Crossings) -> tuple[float, float, float, float]:
 
 def grid_given(who: str, f_hz: ArrayLike) -> FloatArray:
     """Return a caller's frequencies in Hz, rising, one at least."""
-    f = np.sort(frequency_array(who, f_hz))
-    if not f.size:
-        raise InputError(f"{who}: 'f_hz' must hold at least one frequency.")
-    return f
+    return np.sort(some_lines(who, f_hz))
 
 
 def default_grid(S: StateSpace) -> FloatArray:

@@ -55,6 +55,14 @@ def ends(rate_hz: float | None) -> FloatArray:
     return np.array([0.0, np.inf if rate_hz is None else rate_hz / 2])
 
 
+def beside_poles(poles: ComplexArray, rate_hz: float | None, sharp: float, widths: FloatArray) -> FloatArray:
+    """Return lines in Hz about each pole of less damping than `sharp`, so many of its widths off: peaks hide there."""
+    s = poles if rate_hz is None else rate_hz * np.log(poles[np.abs(poles) > 0])
+    hz, width = np.abs(s.imag) / (2 * np.pi), -s.real / (2 * np.pi)
+    near = (s.imag > 0) & (width < sharp * hz)
+    return np.asarray((hz[near] + np.outer(widths, width[near])).ravel(), dtype=np.float64)
+
+
 def refined(
     values_at: Callable[[FloatArray], FloatArray],
     f: FloatArray,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.analyse.loop_response import both_sensitivities
-from ultraquiet.analyse.peaks import refined
+from ultraquiet.analyse.loop_response import loop_response
+from ultraquiet.analyse.peaks import beside_poles, refined
 from ultraquiet.chart import Chart, law_colours
 from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.linalg.norms import largest_gains
@@ -94,16 +94,11 @@ def _responses(result: StudyResult) -> tuple[FloatArray, ComplexArray, Mapping[s
 
 def _seen_at(plant: StateSpace, law: StateSpace, f_hz: FloatArray) -> FloatArray:
     """Return lines about the sharp poles of a loop and where S is largest, in Hz: none of them is a line of a grid."""
-    poles = sensitivity(plant, law).poles()
-    s = poles if plant.rate_hz is None else plant.rate_hz * np.log(poles[poles != 0])
-    hz, width = np.abs(s) / (2 * np.pi), np.abs(s.real) / (2 * np.pi)
-    sharp = (s.imag > 0) & (width < SHARP * hz)
-    lines = (hz[sharp] + np.outer(WIDTHS, width[sharp])).ravel()
+    lines = beside_poles(sensitivity(plant, law).poles(), plant.rate_hz, SHARP, WIDTHS)
     lines = np.unique(np.concatenate([f_hz, lines[(lines > f_hz[0]) & (lines < f_hz[-1])]]))
-    sensitivities = both_sensitivities(plant, law)
 
     def sizes(at_hz: FloatArray) -> FloatArray:
-        return largest_gains(sensitivities(at_hz)[1])
+        return largest_gains(loop_response(plant, law, at_hz)[0])
 
     return np.append(lines, refined(sizes, lines, sizes(lines))[1])
 

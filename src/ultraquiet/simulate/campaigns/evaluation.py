@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, one_of, rising_band, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, one_of, rising_band, whole
 from ultraquiet._base.errors import InputError, UltraquietError, UnheardError
 from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet._base.threads import one_blas_thread
+from ultraquiet.analyse.peaks import beside_poles
 from ultraquiet.bench import Bench
 from ultraquiet.identify import Rational
 from ultraquiet.simulate.campaigns.drawing import WHO, drawn_bench, drawn_parameters
@@ -23,7 +24,7 @@ DRAWN = "drawn: "  # what the columns of parameters begin with
 EVEN_LINES, BAND_LINES = 240, 60  # over the axis and over the band
 SHARP = 0.15  # damping below which a pole of the loop gets lines of its own, so that no needle stands between lines
 PEAKS, INNER = 6, 7  # looked at more closely, with so many lines to each side
-WIDTHS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of such a pole
+WIDTHS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of such a pole
 Row = dict[str, Any]
 
 
@@ -160,11 +161,8 @@ def _on_truth(bench: Any, law: StateSpace, band_hz: tuple[float, float]) -> Row:
     }
 
 
-def _lines(poles: FloatArray | Any, rate_hz: float, band_hz: tuple[float, float]) -> FloatArray:
-    s = rate_hz * np.log(poles[np.abs(poles) > 0])
-    hz, damping = np.abs(s.imag) / (2 * np.pi), -s.real / (2 * np.pi)
-    sharp = (s.imag > 0) & (damping < SHARP * hz)
-    own = (hz[sharp] + np.outer(WIDTHS, damping[sharp])).ravel()
+def _lines(poles: ComplexArray, rate_hz: float, band_hz: tuple[float, float]) -> FloatArray:
+    own = beside_poles(poles, rate_hz, SHARP, WIDTHS)
     low, top = band_hz[0] / 10, rate_hz / 2
     even = np.geomspace(low, top, EVEN_LINES, endpoint=False)
     lines = np.concatenate([even, own[(own > low) & (own < top)], np.linspace(*band_hz, BAND_LINES)])
