@@ -15,7 +15,7 @@ from ultraquiet.pipeline import packaged_study
 from ultraquiet.pipeline.facts.loops import StableLoop, ToneFacts, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import finite, from_plain, schema_of, to_plain
-from ultraquiet.pipeline.report.loops import _requirements
+from ultraquiet.pipeline.report.loops import _noise_limits, _requirements, _unsettled
 from ultraquiet.pipeline.requirements import in_short, judge, margins_of, unheard_peaks
 from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import Requirements, StudyError, parse
@@ -227,3 +227,19 @@ def test_the_demo_meets_what_it_asks(demo):
     print(*(each["sentence"] for each in judged["judged"]), sep="\n")
     assert all(each["met"] for each in judged["judged"])
     assert re.search(r"Required of quiet", page)
+
+
+def test_a_tone_that_had_not_settled_is_said_and_not_laid_to_noise():
+    slow = dataclasses.replace(tone(20.8), settled=False)
+    said = dataclasses.replace(loop(), tones={"5": slow, "25": tone(40.0)})
+    result = SimpleNamespace(loops={"quiet": SimpleNamespace(facts=SimpleNamespace(units={"axis": said}))})
+    words, limits = list(_unsettled(result)), _noise_limits(result)
+    print(words, limits)
+    assert words == ["quiet, axis: at 5 Hz the amplitude was still changing when the longest run ended."]
+    assert "at 5 Hz" not in limits[0]
+    assert "at 25 Hz" in limits[0]
+    (judged,) = judge(Requirements(law="quiet", tones_db=38.0), BAND_HZ, {"axis": said}, DISK).judged
+    print(judged.sentence)
+    assert (
+        "20.8 dB at 5 Hz, still changing when the longest run ended, at least 38 dB is asked: missed" in judged.sentence
+    )

@@ -311,6 +311,7 @@ def _tone(k: int, tone_hz: float, tones: simulate.Attenuation, matrix: simulate.
         open_v=tones.open_v[k],
         closed_v=tones.closed_v[k],
         floor_v=tones.floor_v[k],
+        settled=tones.settled[k],
     )
 
 

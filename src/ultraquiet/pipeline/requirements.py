@@ -113,7 +113,8 @@ def _measured(
             stable = isinstance(loop, StableLoop)
             figure = _figure(name, loop) if stable else None
             beyond = silent.get(unit) if name == "peak_db" and figure is not None else None
-            yield _one(name, unit, limit, figure, band_hz, loop.status, beyond)
+            source = _unsettled(loop) if name == "tones_db" and isinstance(loop, StableLoop) else ""
+            yield _one(name, unit, limit, figure, band_hz, loop.status, beyond, source)
 
 
 def _of_payload(
@@ -144,6 +145,12 @@ def _figure(name: str, loop: StableLoop) -> float:
     return min(tone.reduction_db for tone in loop.tones.values())
 
 
+def _unsettled(loop: StableLoop) -> str:
+    """Return what to say behind the figure of the worst tone where that tone's amplitude was still changing."""
+    hz, tone = min(loop.tones.items(), key=lambda each: each[1].reduction_db)
+    return "" if tone.settled else f" at {hz} Hz, still changing when the longest run ended"
+
+
 def _one(
     name: str,
     where: str,
@@ -152,9 +159,9 @@ def _one(
     band_hz: Band,
     status: str = "no loop was closed",
     beyond: Peak | None = None,
+    source: str = "",
 ) -> RequirementFacts:
     unit, more = MEASURED.get(name, (" dB" if name == PAYLOAD else "", True))
-    source = ""
     if figure is not None and beyond is not None and beyond[0] > figure:
         source = (
             f" by the design model, at {beyond[1]:.4g} Hz, where the bench is not heard; {figure:.4g}{unit} elsewhere"

@@ -82,12 +82,15 @@ class LoopMeasured:
             yield _step_grid(self.step, place)
 
     def remarks(self) -> Iterator[str]:
-        """Yield a sentence for every tone of which a sensor shows no more than its range."""
+        """Yield a sentence for every tone of which a sensor shows no more than its range, or that had not settled."""
         for f, names in zip(self.tones.tones_hz, self.tones.cut, strict=True) if self.tones is not None else ():
             if names:
                 who = ", ".join(f"'{name}'" for name in names)
                 stood = several_of(len(names), "stands", "stand")
                 yield f"at {f:g} Hz {who} {stood} at an end of the range, which cuts the tone off; lower --amplitude"
+        for f, settled, run in zip(t.tones_hz, t.settled, t.closed, strict=True) if (t := self.tones) else ():
+            if not settled:
+                yield f"at {f:g} Hz the tone was still changing after {run.duration_s:.3g} s; a longer --duration waits"
 
     def facts(self, place: LoopPlace) -> dict[str, Any]:
         """Return everything measured by channel name."""

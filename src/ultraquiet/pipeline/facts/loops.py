@@ -105,7 +105,10 @@ class DesignFacts(DesignSummary):
 
 @fact
 class ToneFacts:
-    """One tone on the bench: the worst channel, every channel, the worst direction, amplitudes in V."""
+    """One tone on the bench: the worst channel, every channel, the worst direction, amplitudes in the sensors' units.
+
+    `settled`: whether its amplitude stood still while it was measured.
+    """
 
     reduction_db: float
     paper_db: float
@@ -115,6 +118,7 @@ class ToneFacts:
     open_v: Vector
     closed_v: Vector
     floor_v: Vector
+    settled: bool = True
 
 
 @fact

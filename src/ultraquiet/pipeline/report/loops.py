@@ -147,7 +147,7 @@ def closed_loop(result: StudyResult) -> Section:
     chart = laws.measured_chart(result, tuple(result.loops))
     figures: list[Picture] = [] if chart is None else [chart]
     tables = [table, *_requirements(result.requirements)]
-    details = [*_about_tones(result), *_verdicts(result), *_noise_limits(result)]
+    details = [*_about_tones(result), *_verdicts(result), *_unsettled(result), *_noise_limits(result)]
     return Section("Closed loop", [*_on_the_bench(result)], tables, [*figures, *_time_responses(result)], details)
 
 
@@ -254,6 +254,15 @@ def _idle_rows(result: StudyResult) -> list[tuple[object, ...]]:
     return list(rows.values())
 
 
+def _unsettled(result: StudyResult) -> Iterator[str]:
+    """Say which tones had not settled when the longest run ended: what is said of them is not yet what they come to."""
+    for name, unit, loop in _loops(result):
+        tones = [f for f, tone in loop.tones.items() if not tone.settled] if isinstance(loop, StableLoop) else []
+        if tones:
+            where = " and ".join(f"{f} Hz" for f in tones)
+            yield f"{name}, {unit}: at {where} the amplitude was still changing when the longest run ended."
+
+
 def _noise_limits(result: StudyResult) -> list[str]:
     """Say at which tones noise hides more than a controller may have reached."""
     for _, _, loop in _loops(result):
@@ -261,7 +270,10 @@ def _noise_limits(result: StudyResult) -> list[str]:
             limits = [
                 f"{20 * np.log10(tone.open_v.min() / tone.floor_v.max()):.0f} dB at {f} Hz"
                 for f, tone in loop.tones.items()
+                if tone.settled
             ]
+            if not limits:
+                continue
             return [f"Noise feigns a rest of the tone: reductions cannot be told beyond about {', '.join(limits)}."]
     return []
 
