@@ -14,6 +14,7 @@ from ultraquiet.experiments import real_time
 from ultraquiet.simulate.kick import ranges
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sweeps.clock import SweepClock
+from ultraquiet.simulate.sweeps.directions import directions
 from ultraquiet.simulate.sweeps.rest import NOISE_LINES, Quiet, rest_of, smoothed
 from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits
@@ -35,8 +36,6 @@ BELOW = 0.7  # where a band below begins, over where the one above does
 FEWEST_PERIODS = 20.0  # of its lowest line in a run: fewer, and the short runs do not tell the lines of a band apart
 PER_DECADE = 60  # frequencies at which directions and levels are held
 SHORTER = 4  # the runs that find directions and levels are so much shorter
-# Directions this much weaker than the strongest are driven no more strongly.
-WEAKEST = 1e-3
 # Shares of the channels' ranges: where the first run begins, and what a run may use; then what it may use with a law,
 # whose amplification is not known yet.
 BEGIN, USED_RANGE, USED_DRIVE = 1e-3, 0.5, 0.9
@@ -144,31 +143,21 @@ class OpenBand:
 
     @cached_property
     def shapes(self) -> ComplexArray:
-        """Directions of the disturbance at the grid, `(nu, directions, grid)`: each moves one direction of the sensors.
+        """Directions of the disturbance at the grid, `(nu, nu, grid)`: each moves one direction of sensors, or none.
 
         Columns of the response's pseudo-inverse in ranges of actuators, so that the weak directions are driven as much
         stronger as they are weaker; each of size one, and in phase with its neighbour. With more actuators than sensors
-        one actuator after the other.
+        the others are those that no sensor hears: no few directions would do for both loops, as a sweep that grows and
+        falls is not of one direction alone.
         """
-        nu, ny, points = len(self.bench.actuators), len(self.bench.sensors), self.grid_hz.size
+        nu, points = len(self.bench.actuators), self.grid_hz.size
         one_by_one = np.zeros((nu, nu, points), dtype=np.complex128)
         one_by_one[range(nu), range(nu)] = self.scale[:, None]
-        if nu > ny:  # the sensors do not tell all directions apart: no few of them would do for both loops
-            return one_by_one
         runs = self.short.run(None, one_by_one, np.full((nu, points), BEGIN), LEVELLINGS, quiet=self.short.resting)
         f = self.short.sweep.lines_hz
         at = np.searchsorted(f, self.grid_hz).clip(0, f.size - 1)
         G = np.moveaxis(over(runs.heard, runs.sent)[:, :, at], 2, 0) * self.scale / self.units[:, None]
-        u, s, vh = np.linalg.svd(G, full_matrices=False)
-        reached = u @ np.conj(np.swapaxes(u, 1, 2))
-        common = np.linalg.svd(reached.mean(axis=0))[0][:, : min(nu, ny)]
-        inverse = np.conj(np.swapaxes(vh, 1, 2)) / np.maximum(s, WEAKEST * s[:, :1])[:, None, :]
-        w = inverse @ (np.conj(np.swapaxes(u, 1, 2)) @ common)
-        w /= np.linalg.norm(w, axis=1, keepdims=True)
-        for k in range(1, points):
-            turn = np.sum(np.conj(w[k]) * w[k - 1], axis=0)
-            w[k] *= turn / np.maximum(np.abs(turn), np.finfo(float).tiny)
-        return self.scale[:, None, None] * np.moveaxis(w, 0, 2)
+        return self.scale[:, None, None] * np.moveaxis(directions(G), 0, 2)
 
     @cached_property
     def runs(self) -> Runs:

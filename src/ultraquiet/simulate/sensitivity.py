@@ -13,7 +13,8 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest, left_open
+from ultraquiet.simulate.kick import ranges
+from ultraquiet.simulate.open_loop import LOUD, LOWER, OpenBand, OpenLoop, Runs, inverted, largest, left_open
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -357,9 +358,15 @@ def _largest(S: ComplexArray) -> FloatArray:
 
 def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
     f, S = _all_lines(parts)
-    if not f.size:
-        raise UnheardError("measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise.")
     bench = opened.bench
+    if not f.size:
+        advice = "raise the sensors' gain or lower their noise"
+        if not np.isfinite([*ranges(bench.actuators), *ranges(bench.sensors)]).all():
+            advice = (
+                f"give every actuator and sensor its low and high: without a range readings are kept to {LOUD:g} times "
+                "their noise, and where no actuator has one none is driven by more than 1"
+            )
+        raise UnheardError(f"measure_sensitivity: noise hides every line; {advice}.")
     ny, nu = len(bench.sensors), len(bench.actuators)
     reach = f"{counted(nu, 'actuator reaches', 'actuators reach')} {nu} of {ny} directions of the sensors; "
     reach += "in the others no law does anything."
