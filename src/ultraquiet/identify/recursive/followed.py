@@ -2,6 +2,9 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files import LongRecord
@@ -27,6 +30,27 @@ class Followed:
     correlation_p: float
     trajectory: Trajectory
     steps_cut_short: int
+
+
+class Levels(NamedTuple):
+    """Constants about which inputs `(nu, 1)` and one output move."""
+
+    inputs: FloatArray
+    output: float
+
+    @classmethod
+    def of(cls, piece: Record, output: int) -> "Levels":
+        """Return the means of a record's beginning."""
+        return cls(piece.inputs.mean(axis=1, keepdims=True), float(piece.outputs[output].mean()))
+
+    @classmethod
+    def none(cls, inputs: int) -> "Levels":
+        """Return nothing to leave out."""
+        return cls(np.zeros((inputs, 1)), 0.0)
+
+    def left(self, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the signals without their levels."""
+        return u - self.inputs, y - self.output
 
 
 def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_percent: float) -> Followed:

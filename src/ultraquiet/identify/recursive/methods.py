@@ -20,7 +20,7 @@ from ultraquiet.identify.prediction_error.order_choice import told, unasked
 from ultraquiet.identify.prediction_error.settings import HIGHEST_ORDER, NOT_ASKED
 from ultraquiet.identify.recursive.beginning import LONGEST, constant_at_output
 from ultraquiet.identify.recursive.estimator import Recursion
-from ultraquiet.identify.recursive.followed import Followed, blocks_of, starting_piece, with_evidence
+from ultraquiet.identify.recursive.followed import Followed, Levels, blocks_of, starting_piece, with_evidence
 from ultraquiet.identify.recursive.settings import FORGETTING, RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.result import Result, worst
@@ -49,7 +49,8 @@ class RecursiveMethod:
             the others begin from a batch fit of the first ten samples a parameter, which is repeated each time the
             samples have doubled, up to 2048, the memory or half of the record.
         every: samples between points of the trajectory.
-        offset: whether a constant at the output is followed too.
+        offset: whether a constant at the output is followed too. The levels about which the signals of the start move
+            are then left out of what is followed: filters that begin at rest would take them for a step.
 
     Returns of `identify`: the last model. `loss` is the mean squared error of the predictions as they were made, after
     the start; whiteness and correlation are those of the same errors. `fit_percent` simulates the whole record with the
@@ -156,9 +157,11 @@ class RecursiveMethod:
     def _follow(self, record: Record | LongRecord, output: int, piece: Record) -> "Followed":
         """Follow one output through the record."""
         start, constant, start_samples = None, 0.0, 0
+        about = Levels.of(piece, output) if self.offset else Levels.none(len(record.actuators))
         if self.start_samples:
             start = self.batch().fit(ChannelData.of(piece, output), record.rate_hz).model
-            constant = constant_at_output(start, piece.inputs, piece.outputs[output]) if self.offset else 0.0
+            u, y = about.left(piece.inputs, piece.outputs[output])
+            constant = constant_at_output(start, u, y) if self.offset else 0.0
             start_samples = piece.samples
         sizes = piece.inputs.std(axis=1), float(piece.outputs[output].std())
         longest = min(LONGEST, record.samples // 2)
@@ -172,7 +175,7 @@ class RecursiveMethod:
         sums, points = Lagged(1 + len(record.actuators), lags), []
         title = f"{self.name} of {record.sensors[output].name}"
         with task(title, record.samples) as progress:
-            for u, y in blocks_of(record, output, self.every):
+            for u, y in (about.left(*block) for block in blocks_of(record, output, self.every)):
                 before = running.samples
                 e = running.update(u, y)
                 judged = max(0, running.judged_from - before)

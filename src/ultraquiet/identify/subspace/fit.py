@@ -22,6 +22,7 @@ class Scaled:
 
     Inputs keep theirs: what the mean does is all a record says of modes far below its band. On the steel frame of DaISy
     96-013 (means of 0.3 and 0.4 deviations) the held-out fit of the worst output is 90 % with them, negative without.
+    Beyond one deviation they lose the excess, see `excess`.
     """
 
     u: FloatArray
@@ -32,9 +33,10 @@ class Scaled:
     @classmethod
     def of(cls, record: Record) -> "Scaled":
         """Scale a record."""
-        u = record.inputs
+        u_size = record.inputs.std(axis=1, keepdims=True)
+        u = record.inputs - excess(record.inputs.mean(axis=1, keepdims=True), u_size)
         y = record.outputs - record.outputs.mean(axis=1, keepdims=True)
-        u_size, y_size = u.std(axis=1, keepdims=True), y.std(axis=1, keepdims=True)
+        y_size = y.std(axis=1, keepdims=True)
         return cls(u / u_size, y / y_size, u_size, y_size)
 
     @property
@@ -46,6 +48,18 @@ class Scaled:
     def samples(self) -> int:
         """Number of samples."""
         return self.u.shape[1]
+
+
+def excess(mean: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Return by how much means exceed their signals' deviations.
+
+    A level of the inputs does no more than other initial states and another constant at the outputs do, and these are
+    fitted; but products of hundreds of deviations leave of the rest no digits.
+
+    >>> excess(np.array([0.4, -0.4, 1000.0, -1000.0]), np.ones(4)).tolist()
+    [0.0, 0.0, 999.0, -999.0]
+    """
+    return mean - np.clip(mean, -deviation, deviation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,10 +87,12 @@ class ScaledStream:
     @property
     def input_level(self) -> FloatArray:
         """Means of the scaled inputs, `(nu, 1)`."""
-        return (self.statistics.input_mean / self.statistics.input_size)[:, None]
+        s = self.statistics
+        return ((s.input_mean - fit.excess(s.input_mean, s.input_size)) / s.input_size)[:, None]
 
     def _scaled(self, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         s = self.statistics
+        u = u - fit.excess(s.input_mean, s.input_size)[:, None]
         return u / s.input_size[:, None], (y - s.output_mean[:, None]) / s.output_size[:, None]
 
 
