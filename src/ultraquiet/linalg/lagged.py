@@ -42,6 +42,11 @@ class Lagged:
             self._spectra += self._cross(self._pending[:, : self._size], step)
             self._pending = self._pending[:, step:]
 
+    @property
+    def mean(self) -> FloatArray:
+        """Means of the signals, `(channels,)`."""
+        return self._total / self.samples
+
     def products(self, centred: bool = False) -> FloatArray:
         """Return the sums `(lags + 1, a, b)`; `centred` takes each signal's mean out first."""
         rest = self._pending
@@ -57,7 +62,7 @@ class Lagged:
 
     def _means(self) -> FloatArray:
         """Return what the means add: sum_t (m_a x_b(t + k) + x_a(t) m_b - m_a m_b)."""
-        mean = self._total / self.samples
+        mean = self.mean
         out = np.empty((self.lags + 1, mean.size, mean.size))
         for k in range(self.lags + 1):
             later = self._total - self.head[:, :k].sum(axis=1)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.shown.line import p_in_words
+from ultraquiet.identify import chance
 from ultraquiet.identify.prediction_error import in_memory
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, start_table, starting_tables
@@ -108,12 +109,13 @@ def finished(
     output = np.clip(simulated(data, model, search), data.low, data.high)
     fit_percent = prediction.fit_percent(data.recorded, output)
     nu = data.u.shape[0]
-    free = structure.parameters(nu) + nu * max(structure.f, structure.a, structure.b) + 1  # its past and a constant too
+    free = structure.parameters(nu) + nu * structure.longest + 1  # its past and a constant too
     share = best.loss / max(float(np.var(data.y)), np.finfo(float).tiny)
     status = noiseless(share) or verdict(best.state, best.iterations, evidence)
-    silent = status.ok and by_chance(fit_percent, data.recorded.size, free)
+    told = chance.explained(data.recorded, data.recorded - output)
+    silent = status.ok and chance.by_chance(told, data.recorded.size, free)
     if silent:
-        status = _silence(fit_percent)
+        status = chance.silence(told)
     if status.ok and not model.is_stable():
         # Only ARX and ARMAX can end here: their A is not divided by.
         status = Status(
@@ -253,30 +255,6 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
         )
     return Status(
         StatusWord.OK, f"Converged; the residual is white (p = {white:.2g}) and free of the input (p = {free:.2g})."
-    )
-
-
-def by_chance(fit_percent: float, samples: int, parameters: int) -> bool:
-    """Return whether the inputs explain no more of the output than chance would.
-
-    Of an output that has nothing to do with the inputs p free numbers take the share R^2 of the power in n samples, and
-    n R^2 is chi-square of p degrees of freedom; poles are sought among n / 2 lines, so the largest of as many is what
-    chance gives (Bonferroni). A residual that is white and free of the inputs is then no praise.
-    """
-    from scipy.special import chdtrc
-
-    return bool(0.5 * samples * chdtrc(parameters, samples * _explained(fit_percent)) >= SIGNIFICANCE)
-
-
-def _explained(fit_percent: float) -> float:
-    return max(0.0, 1.0 - (1.0 - fit_percent / 100.0) ** 2)
-
-
-def _silence(fit_percent: float) -> Status:
-    return Status(
-        StatusWord.POOR_FIT,
-        f"The inputs explain {_explained(fit_percent):.1%} of the output's power, no more than such a model does by "
-        f"chance: see that inputs and outputs are not swapped and belong to one run, or excite more strongly.",
     )
 
 

@@ -30,6 +30,11 @@ class Structure:
         return self.a + self.c + self.d + inputs * (self.b + self.f)
 
     @property
+    def longest(self) -> int:
+        """Coefficients of the longest of A, B and F: samples of each input that its past is told by."""
+        return max(self.a, self.b, self.f)
+
+    @property
     def models_noise(self) -> bool:
         """Whether it has polynomials that colour its noise."""
         return bool(self.a or self.c or self.d)

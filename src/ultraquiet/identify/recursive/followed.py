@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files import LongRecord
+from ultraquiet.identify import chance
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.trajectory import Trajectory
@@ -54,12 +55,20 @@ class Levels(NamedTuple):
 
 
 def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_percent: float) -> Followed:
-    """Return the output followed, its verdict drawn from the errors of the predictions as they were made."""
+    """Return the output followed, its verdict drawn from the errors of the predictions as they were made.
+
+    Args:
+        running: the estimator at the record's end.
+        trajectory: the way there.
+        sums: products of these errors, the inputs and the output.
+        fit_percent: of the last model, simulated.
+    """
     n, s = sums.samples, running.structure
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, s.a + s.c + s.d).p_value
+    inputs = range(1, r.shape[1] - 1)
     free = portmanteau.sidak(
-        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
+        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in inputs
     )
     evidence = white, free
     status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
@@ -74,6 +83,8 @@ def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_
             StatusWord.POOR_FIT,
             "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
         )
+    told = chance.explained_of(sums, -1, 0)
+    status = chance.unless_silent(status, told, n, len(running.coefficients) + len(inputs) * s.longest + 1)
     m = running.model
     loss = float(sums.products()[0, 0, 0]) / n
     model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)

@@ -172,14 +172,14 @@ class RecursiveMethod:
                 f"is left to judge it by; record more than {running.judged_from}, or lower the order."
             )
         lags = min(one_fit.TEST_LAGS, (record.samples - running.judged_from) // 10)
-        sums, points = Lagged(1 + len(record.actuators), lags), []
+        sums, points = Lagged(2 + len(record.actuators), lags), []
         title = f"{self.name} of {record.sensors[output].name}"
         with task(title, record.samples) as progress:
             for u, y in (about.left(*block) for block in blocks_of(record, output, self.every)):
                 before = running.samples
                 e = running.update(u, y)
                 judged = max(0, running.judged_from - before)
-                sums.add(np.vstack([e[None], u])[:, judged:])
+                sums.add(np.vstack([e, u, y])[:, judged:])
                 points.append((running.samples / record.rate_hz, running.coefficients, running.deviation))
                 progress.advance(u.shape[1])
         time_s, coefficients, deviation = (np.array(x) for x in zip(*points, strict=True))

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import p_in_words
+from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.identify.regularised.posterior import (
@@ -123,15 +124,20 @@ class RegularisedArx(RegularisedFit):
                 for e in residuals
             ]
         )
+        fits_percent, told = zip(*[_simulated(m, record, i) for i, m in enumerate(models)], strict=True)
         statuses = [
             _arx_verdict(m, f[2].converged, float(w), float(c), float(shares_of(e[None], y[None])[0]))
             for m, f, w, c, e, y in zip(models, fits, white, free, residuals, record.outputs, strict=True)
+        ]
+        statuses = [
+            chance.unless_silent(status, share, record.samples, f[2].freedom)
+            for status, f, share in zip(statuses, fits, told, strict=True)
         ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
             model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, provenance),
             status=worst(statuses),
-            fit_percent=np.array([_simulated_fit(m, record, i) for i, m in enumerate(models)]),
+            fit_percent=np.array(fits_percent),
             loss=np.array([float(np.mean(e**2)) for e in residuals]),
             covariance=np.stack([f[1] for f in fits]),
             whiteness_p=white,
@@ -160,7 +166,9 @@ def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: fl
     return Status(StatusWord.OK, f"The residual is {told}.")
 
 
-def _simulated_fit(model: PolynomialModel, record: Record, i: int) -> float:
+def _simulated(model: PolynomialModel, record: Record, i: int) -> tuple[float, float]:
+    """Return the fit of the simulated output, and what it explains of the output."""
     y = record.outputs[i]
     f = [model.denominator(j) for j in range(len(model.b))]
-    return prediction.fit_percent(y, prediction.simulate(record.inputs, y, model.b, f))
+    out = prediction.simulate(record.inputs, y, model.b, f)
+    return prediction.fit_percent(y, out), chance.explained(y, y - out)

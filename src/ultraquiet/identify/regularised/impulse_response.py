@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import p_in_words
+from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.identify.regularised.posterior import (
@@ -126,7 +127,12 @@ class ImpulseResponse(RegularisedFit):
         free = [_free_of_earlier(e, record.inputs, models[0].b[0].size, lags, memory) for e in errors]
         g = np.asarray(details["response"])
         statuses = [
-            _verdict(f[2].converged, p, float(_left(g[i]).max()))
+            chance.unless_silent(
+                _verdict(f[2].converged, p, float(_left(g[i]).max())),
+                chance.explained(record.outputs[i, start:], errors[i]),
+                errors[i].size,
+                f[2].freedom,
+            )
             for i, (f, p) in enumerate(zip(fits, free, strict=True))
         ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())

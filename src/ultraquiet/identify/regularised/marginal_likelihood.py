@@ -95,6 +95,7 @@ class Posterior:
         eta: hyper-parameters, block by block.
         converged: whether the hyper-parameters stand at a maximum.
         evaluations: of the marginal likelihood.
+        freedom: how many numbers the prior leaves free, trace(R K R' A^-1), and the hyper-parameters.
     """
 
     mean: FloatArray
@@ -103,6 +104,7 @@ class Posterior:
     eta: FloatArray
     converged: bool
     evaluations: int
+    freedom: float
 
 
 def compressed(signals: FloatArray, lags: Sequence[int], taps: Sequence[int], y: FloatArray, start: int) -> FloatArray:
@@ -245,7 +247,13 @@ class _Likelihood:
         L = np.linalg.cholesky(np.eye(root.shape[1]) + M.T @ M)
         T = solve_triangular(L, root.T, lower=True)
         covariance = variance * T.T @ T + self.spread(eta)
-        return Posterior(mean, covariance, variance, eta, converged, self.evaluations)
+        return Posterior(mean, covariance, variance, eta, converged, self.evaluations, self._freedom(plain) + eta.size)
+
+    def _freedom(self, kernels: list[FloatArray]) -> float:
+        A = np.eye(self.R.shape[0])
+        for b, K in zip(self.blocks, kernels, strict=True):
+            A += self.R[:, b] @ K @ self.R[:, b].T
+        return len(A) - float(np.trace(np.linalg.inv(A)))
 
     def _with_tail(self, kernels: list[FloatArray]) -> list[FloatArray]:
         """Return the kernels with the largest slow tail that raises the function by no more than TAIL_RISE."""

@@ -10,6 +10,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.data import told_by_lines
 from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
@@ -135,7 +136,11 @@ class Rational(SearchedOrder):
         fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
         span = portmanteau.slowest_period(fitted.model.poles())
         statuses = [_simulated(fitted.status, p, e, record.inputs, span) for p, e in zip(fits, residual, strict=True)]
-        ny = len(record.sensors)
+        ny, numbers = len(record.sensors), chance.numbers_of(fitted.model.states, len(record.actuators))
+        statuses = [
+            chance.unless_silent(status, chance.explained(y, e), y.size, numbers)
+            for status, y, e in zip(statuses, record.outputs, residual, strict=True)
+        ]
         unknown = np.full(ny, np.nan)
         provenance = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
         return Result(

@@ -12,10 +12,11 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response, told_by_lines
 from ultraquiet.identify.response.model import WeightedFit
-from ultraquiet.identify.result import SIGNIFICANCE, Result
+from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.innovation import unknown_past
@@ -355,18 +356,22 @@ def _result(method: WeightedRational, fitted: WeightedFit, record: Record) -> Re
     simulated = fitted.model.simulate(record.inputs)
     miss = record.outputs - simulated
     residual = miss - unknown_past(fitted.model.A, fitted.model.C, miss)
-    ny = len(record.sensors)
+    ny, numbers = len(record.sensors), chance.numbers_of(fitted.model.states, len(record.actuators))
+    statuses = [
+        chance.unless_silent(fitted.status, chance.explained(y, e), y.size, numbers)
+        for y, e in zip(record.outputs, residual, strict=True)
+    ]
     provenance = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
     return Result(
         model=fitted.model,
-        status=fitted.status,
+        status=worst(statuses),
         fit_percent=np.array([fit_percent(y, y - e) for y, e in zip(record.outputs, residual, strict=True)]),
         loss=np.mean(residual**2, axis=1),
         covariance=np.full((ny, 0, 0), np.nan),
         whiteness_p=np.full(ny, fitted.whiteness_p),
         correlation_p=np.full(ny, np.nan),
         iterations=np.full(ny, fitted.iterations),
-        statuses=(fitted.status,) * ny,
+        statuses=tuple(statuses),
         provenance=provenance,
         details={"order": fitted.order, "cost": fitted.cost, "delay_s": fitted.delay_s, "fit": fitted},
         spread=fitted,

@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import p_in_words
+from ultraquiet.identify import chance
 from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, shares_of, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
@@ -87,6 +88,8 @@ def judged(
         _verdict(search, p, q if search.predicts else 1.0, spare, len(system.A), i in growing_outputs, noiseless(share))
         for i, (p, q, share) in enumerate(zip(free, white, shares, strict=True))
     ]
+    if search.predicts or system.stable():  # of an unstable model nothing is simulated
+        statuses = [_unless_silent(*each, system) for each in zip(statuses, data.y, tested, strict=True)]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
     spread, no_band = _spread(model, record, data, search)
@@ -105,6 +108,13 @@ def judged(
         spread=spread,
         no_band=no_band,
     )
+
+
+def _unless_silent(status: Status, y: FloatArray, error: FloatArray, system: System) -> Status:
+    """Return the verdict on one output, that its inputs explain no more than chance would before spare modes."""
+    share, numbers = chance.explained(y, error), chance.numbers_of(len(system.A), system.B.shape[1])
+    spare = status.word is StatusWord.NOT_CONVERGED and chance.by_chance(share, y.size, numbers)
+    return chance.silence(share) if spare else chance.unless_silent(status, share, y.size, numbers)
 
 
 def _spread(

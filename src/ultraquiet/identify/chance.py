@@ -1,0 +1,85 @@
+"""Whether inputs explain more of an output than chance would, and the verdict where they do not."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.result import SIGNIFICANCE
+from ultraquiet.linalg import prediction
+from ultraquiet.linalg.lagged import Lagged
+from ultraquiet.values import Status, StatusWord
+
+
+def explained(y: FloatArray, error: FloatArray) -> float:
+    """Return the share of an output's own innovations, `(n,)`, that a simulation explains which leaves `error` of it.
+
+    Noise of a colour, and what a model does at its resonance, carry most of their power at few frequencies: there
+    chance explains much. Compared are the variances that autoregressions of output and error leave, whose logarithms
+    are means over frequency alike: log(1 - share) is twice the information on the output that a sample of inputs holds.
+
+    >>> rng = np.random.default_rng(0)
+    >>> y, e = rng.standard_normal((2, 5000))
+    >>> round(explained(y + e, e), 1), explained(e, e + 0.01 * y)
+    (0.5, 0.0)
+    """
+    if not np.all(np.isfinite(error)):
+        return 0.0
+    lags = min(prediction.MEMORY, y.size // 10)
+    sums = Lagged(2, lags)
+    sums.add(np.stack([y - y.mean(), error - error.mean()]))
+    return explained_of(sums, 0, 1)
+
+
+def explained_of(sums: Lagged, output: int, error: int) -> float:
+    """Return the same from the products of an output and an error among other signals."""
+    before, after = (_innovation(sums, channel) for channel in (output, error))
+    return max(0.0, 1.0 - after / max(before, np.finfo(float).tiny))
+
+
+def _innovation(sums: Lagged, channel: int) -> float:
+    """Return the mean square that an autoregression leaves of a signal, by least squares over known pasts alone.
+
+    With zeros for what lies beyond the ends, a signal that rings as long as its record would seem to be less known.
+    """
+    lags = min(prediction.MEMORY, sums.lags)
+    r = sums.products(centred=True)[:, channel, channel]
+    head, tail = sums.head[channel, :lags] - sums.mean[channel], sums.tail[channel, -lags:] - sums.mean[channel]
+    G = np.empty((lags + 1, lags + 1))
+    for j in range(lags + 1):
+        for i in range(j + 1):
+            early = float(head[: lags - j] @ head[j - i : lags - i])
+            late = float(tail[lags - j : lags - (j - i)] @ tail[lags - i :]) if i else 0.0
+            G[i, j] = G[j, i] = r[j - i] - early - late
+    G[np.diag_indices_from(G)] += prediction.RIDGE * np.trace(G) / len(G)
+    known = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=None)[0]
+    return float(G[0, 0] - known @ G[1:, 0]) / max(sums.samples - lags, 1)
+
+
+def by_chance(share: float, samples: int, parameters: float) -> bool:
+    """Return whether the inputs explain no more of the output than chance would.
+
+    Of an output that has nothing to do with the inputs p free numbers take the share R^2 of the power in n samples, and
+    n R^2 is chi-square of p degrees of freedom; poles are sought among n / 2 lines, so the largest of as many is what
+    chance gives (Bonferroni). A residual that is white and free of the inputs is then no praise.
+    """
+    from scipy.special import chdtrc
+
+    return bool(0.5 * samples * chdtrc(parameters, samples * share) >= SIGNIFICANCE)
+
+
+def numbers_of(states: int, inputs: int) -> int:
+    """Return of how many numbers one output of a state-space model is made, its past and a constant too."""
+    return states * (inputs + 3) + inputs + 1
+
+
+def unless_silent(status: Status, share: float, samples: int, parameters: float) -> Status:
+    """Return the verdict on one output, no longer `ok` where its inputs explain no more of it than chance would."""
+    return silence(share) if status.ok and by_chance(share, samples, parameters) else status
+
+
+def silence(share: float) -> Status:
+    """Return the verdict on a model that explains no more of an output than chance would."""
+    return Status(
+        StatusWord.POOR_FIT,
+        f"The inputs explain {share:.1%} of what is new in the output, no more than such a model does by chance: see "
+        f"that inputs and outputs are not swapped and belong to one run, or excite more strongly.",
+    )
