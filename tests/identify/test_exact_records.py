@@ -50,6 +50,27 @@ def test_what_an_order_too_low_leaves_is_no_rounding(rng, method):
     assert not found.status.ok
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-10, 1e-8, 1e-7])
+def test_an_order_that_nobody_gave_is_not_blamed_where_there_is_hardly_noise(rng, noise):
+    _, record = simulated(rng, 1, 1)
+    y = record.outputs + noise * record.outputs.std() * rng.standard_normal(record.outputs.shape)
+    found = uq.identify.Subspace().identify(uq.Record(record.inputs, y, record.rate_hz))
+    print(found.details["order"], found.status)
+    assert found.status.ok
+    assert found.details["order"] <= 8
+
+
+def test_a_gain_is_no_model_without_feedthrough(rng):
+    u = rng.standard_normal((1, 2000))
+    for noise in (0.0, 0.1):
+        record = uq.Record(u, 5.0 * u + noise * rng.standard_normal(u.shape), 1000.0)
+        strictly_proper = uq.identify.WeightedRational(order=4).identify(record)
+        direct = uq.identify.WeightedRational(order=2, feedthrough=True).identify(record)
+        print(strictly_proper.status, direct.status)
+        assert strictly_proper.status.word == "poor fit"
+        assert direct.fit_percent[0] > 90.0
+
+
 @pytest.mark.parametrize("start", [0, 500])
 def test_what_rounding_alone_tells_apart_moves_no_recursion(start, rng):
     u = rng.standard_normal((1, 2000))

@@ -217,14 +217,14 @@ def _verdict(
         )
     if exact is None and not search.converged:
         return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {search.steps} steps.")
+    if exact is not None:  # there is no noise that a mode could be told from
+        return exact
     if spare > SPARE_SHARE * order / 2:
         return Status(
             StatusWord.NOT_CONVERGED,
             f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
             f"order (None chooses it), or record longer.",
         )
-    if exact is not None:
-        return exact
     if min(free, white) < SIGNIFICANCE:
         what = "still holds something of the inputs" if free <= white else "is not white"
         whose = "one-step" if search.predicts else "simulated"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.result import NO_NOISE, Result, shares_of
+from ultraquiet.identify.result import NO_NOISE, Result
 from ultraquiet.identify.subspace import fit, modal_least_squares
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes
 from ultraquiet.linalg import prediction
@@ -116,7 +116,7 @@ def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float, p
     if not (result.status.ok and (predicts or system.stable())):
         return result
     error = system.errors(data.u, data.y) if predicts else data.y - system.simulated(data.u)
-    plain = None if np.all(shares_of(error, data.y) <= NO_NOISE) else plainest(error, data.u)
+    plain = plainest(error, data.u)
     if plain is None:
         return result
     pole, explained = plain
@@ -136,7 +136,12 @@ def _asked_for(nu: int, ny: int, n: int) -> float:
 
 
 def plainest(error: FloatArray, u: FloatArray) -> tuple[complex, float] | None:
-    """Return what `strongest` does; None where it explains less than a mode must."""
+    """Return what `strongest` does; None where it explains less than a mode must, or where the error is rounding.
+
+    The error is one of outputs of unit power.
+    """
+    if np.all(np.mean(error**2, axis=1) <= NO_NOISE):
+        return None
     pole, explained = strongest(error, u)
     return None if explained < _asked_for(len(u), *error.shape) else (pole, explained)
 

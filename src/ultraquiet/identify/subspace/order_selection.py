@@ -11,6 +11,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet.identify.result import NO_NOISE
 from ultraquiet.identify.subspace import fit, hankel, unexcited
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
@@ -28,7 +29,10 @@ BATCHES = 20  # of the held-out part: the spread of their means counts the error
 
 @dataclass(frozen=True, eq=False)
 class HeldOutError:
-    """Mean squared simulated error of each output over each batch of the held-out part, `(ny, batches)`."""
+    """Mean squared simulated error of each output over each batch of the held-out part, `(ny, batches)`.
+
+    Of outputs of unit power: what is less than `NO_NOISE` of it is rounding, and tells no order from another.
+    """
 
     squares: FloatArray
 
@@ -45,7 +49,7 @@ class HeldOutError:
 
     @property
     def _power(self) -> FloatArray:
-        return np.maximum(self.squares.mean(axis=1), np.finfo(float).tiny)
+        return np.maximum(self.squares.mean(axis=1), NO_NOISE)
 
     def unsure(self, best: "HeldOutError") -> float:
         """Return the standard error of the difference of two sizes.
