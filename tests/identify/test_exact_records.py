@@ -41,6 +41,14 @@ def test_a_record_without_noise_is_explained_and_said_to_be(rng, method, shape):
     assert np.abs(H - G).max() < 1e-3 * np.abs(G).max()
 
 
+def test_rounding_is_given_no_noise_model():
+    """A draw whose rounding passed for coloured noise: the search began from poles of none and ended away."""
+    _, record = simulated(np.random.default_rng(3682636393), 1, 1)
+    found = METHODS["predictor"].identify(record)
+    assert found.status.ok
+    assert found.fit_percent[0] > 99.9999
+
+
 @pytest.mark.parametrize("method", ["subspace", "output error"])
 def test_what_an_order_too_low_leaves_is_no_rounding(rng, method):
     _, record = simulated(rng, 1, 1)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.identify.result import NO_NOISE
 from ultraquiet.identify.subspace import gauss_newton, modal_least_squares
 from ultraquiet.linalg import response
 from ultraquiet.linalg.polynomial_roots import mirrored_inside
@@ -203,6 +204,8 @@ def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:
     the one-step errors.
     """
     v = data.y - start.simulated(data.u)
+    if np.all(np.mean(v**2, axis=1) <= NO_NOISE):  # of unit outputs: what is left is rounding, which has no colour
+        return np.zeros_like(start.K)
     poles, directions, states = modes_of(start.A, start.C)
     best, loss = np.zeros_like(start.K), _spread(v)
     for _ in range(GAIN_ROUNDS):
