@@ -6,7 +6,7 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from slicot_examples import SLICOT, numbers
 from ultraquiet.analyse import h2_norm, hinf_norm, l2_norm
-from ultraquiet.linalg import discretize
+from ultraquiet.linalg import discretize, norms
 from ultraquiet.values import StateSpace
 
 TINY = 1e-8
@@ -137,3 +137,39 @@ def test_units_do_not_matter(rng, size):
     other = StateSpace(G.A, G.B * size, G.C, G.D)
     assert abs(hinf_norm(other)[0] / hinf_norm(G)[0] / size - 1) < 1e-6
     assert abs(h2_norm(other) / h2_norm(G) / size - 1) < 1e-6
+
+
+def close_modes(rng, modes=3, rest=10):
+    """Return a discrete system whose response is known to few digits: close modes, slow beside the rate, mixed up."""
+    n = 2 * modes + rest
+    w = 8e-4 * (1 + 0.01 * rng.standard_normal(modes))
+    z = np.exp(w * (-3e-5 + 1j))
+    A = block_diag(*([[p.real, p.imag], [-p.imag, p.real]] for p in z), np.diag(rng.uniform(0.1, 0.99, rest)))
+    A += 0.3 * np.triu(rng.standard_normal((n, n)), 2) * (np.arange(n)[:, None] >= 2 * modes)
+    left, right = (np.linalg.qr(rng.standard_normal((n, n)))[0] for _ in range(2))
+    T = left * 10 ** rng.uniform(-1.5, 1.5, n) @ right
+    Ti = np.linalg.inv(T)
+    return Ti @ A @ T, Ti @ (1e-5 * rng.standard_normal((n, 2))), rng.standard_normal((2, n)) @ T, np.eye(2)
+
+
+def test_the_exact_response_is_asked_a_bounded_number_of_times(seed, monkeypatch):
+    """It costs ten times the usual one: three hundred of it a norm made a design of four hundred norms endless."""
+    asked, gain = [0], norms.refined_gain
+
+    def counted(*args):
+        asked[0] += 1
+        return gain(*args)
+
+    monkeypatch.setattr(norms, "refined_gain", counted)
+    most = norms.HIGHEST + norms.RIVALS * (norms.FEW + 4 * norms.NARROWINGS)
+    rng, counts = np.random.default_rng(seed), []
+    for _ in range(8):
+        A, B, C, D = close_modes(rng)
+        asked[0] = 0
+        norm, w = norms.peak_gain(A, B, C, D, True)
+        counts.append(asked[0])
+        near = np.exp(1j * w * (1 + np.concatenate([-np.geomspace(1e-9, 1e-3, 40), np.geomspace(1e-9, 1e-3, 40)])))
+        assert max(gain(A, B, C, D, z) for z in near) <= norm * (1 + norms.DISAGREE)
+    print(f"the exact response was asked {counts} times")
+    assert np.median(counts) <= most  # a draw whose response has no four digits is searched as a whole
+    assert max(counts) > 2, "no draw needs the exact response"

@@ -1,7 +1,6 @@
 """Norms of state-space matrices: the peak gain over frequency, exactly, and the mean square gain."""
 
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
@@ -24,10 +23,12 @@ SHARP = 0.05
 FAN = np.linspace(-1, 1, 30)
 FANS = (2e-2, 1e-3, 5e-5, 2.5e-6)
 INNER = 9  # points between the neighbours of a peak
-NARROWINGS = 8  # by a factor of four each
+NARROWINGS = 8  # at most, by a factor of four each
 RIVALS = 3  # resonances beside a peak that are looked at
 RIVAL = 0.9  # of the peak, from which on they are
-DISAGREE = 1e-7  # the relative accuracy of a norm
+DISAGREE = 1e-7  # the relative accuracy of a norm, unless less is asked for
+LEVEL = DISAGREE / 10  # a peak whose neighbours are as high but for that share is found
+FEW = 5  # points likewise where each is dear: a round narrows by a factor of two, for two new ones
 PARABOLAS = 6
 GAINED = 1e-10  # what a parabola that was worth its while adds to the peak
 REFINEMENTS = 4  # steps towards the exact response at a peak; each takes the condition times a unit round-off
@@ -36,6 +37,9 @@ EXACT = 1e-15
 # frequencies and whose states are decades apart, that many of the highest places are looked at with refinement.
 HIGHEST = 40
 EXACTLY = 150  # states, up to which that is done
+# A response off by no more than that share is believed about where it is lower than the peak by so many times as much.
+CREDIBLE, BELIEVED = 1e-4, 10.0
+DOUBLINGS = 30  # of a step away from a peak, until the response says that it is off the peak
 A_DECADE = 16  # frequencies that a flat response is looked at
 DECADES = 12  # at most
 EARLIEST = 1e-300  # stands for a pole at z = 0, which has decayed before the first sample
@@ -57,7 +61,7 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
         worst = poles[np.argmax(growth)]
         return np.inf, float(abs(np.angle(worst)) if discrete else abs(worst.imag))
     gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(A, B, C, D, tolerance)
-    gain, w = _refined(A, B, C, D, discrete, poles, gain, w)
+    gain, w = _refined(A, B, C, D, discrete, poles, gain, w, max(tolerance, DISAGREE))
     return (refined_gain(A, B, C, D, np.exp(1j * w) if discrete else 1j * w) if np.isfinite(w) else gain), w
 
 
@@ -74,7 +78,7 @@ def largest_gains(M: Array) -> Array:
 
 
 def _refined(
-    A: Array, B: Array, C: Array, D: Array, discrete: bool, poles: Array, gain: float, w: float
+    A: Array, B: Array, C: Array, D: Array, discrete: bool, poles: Array, gain: float, w: float, accuracy: float
 ) -> tuple[float, float]:
     """Return a peak found in modal coordinates as it is in the coordinates given.
 
@@ -86,41 +90,42 @@ def _refined(
     if not (np.isfinite(w) and poles.size and gain > 0):
         return gain, w
 
-    @cache  # a parabola asks for its middle again
-    def at(x: float) -> float:
-        z = np.exp(1j * x) if discrete else 1j * x
+    def direct(w: Array) -> Array:
+        z = np.exp(1j * w) if discrete else 1j * w
         try:
-            return float(np.linalg.norm(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D, 2))
+            return largest_gains(C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B) + D)
         except np.linalg.LinAlgError:  # a pole on the axis, but for round-off
-            return np.inf
+            return np.concatenate([direct(w[[k]]) for k in range(w.size)]) if w.size > 1 else np.array([np.inf])
 
-    def exact(x: float) -> float:
-        return refined_gain(A, B, C, D, np.exp(1j * x) if discrete else 1j * x)
+    at = _Known(direct)
+    exact = _Known(lambda w: np.array([refined_gain(A, B, C, D, z) for z in (np.exp(1j * w) if discrete else 1j * w)]))
 
     # as rates of decay and frequencies, in both times the same
     places = _rates(poles) if discrete else poles
     sharp: Array = places[(places.imag > 0) & (np.abs(places.real) < SHARP * np.abs(places))]
-    rivals = [
-        float(p.imag) for p in sharp[np.argsort(np.abs(sharp.imag - w))[:RIVALS]] if at(float(p.imag)) > RIVAL * gain
-    ]
-    best, where = at(w), w
+    rivals = sharp.imag[np.argsort(np.abs(sharp.imag - w))[:RIVALS]]
+    rivals = rivals[at(rivals) > RIVAL * gain]
+    best, where = at.one(w), w
     if not np.isfinite(best):
         return gain, w
-    if abs(best / gain - 1) > DISAGREE:
-        last = np.pi if discrete else np.inf
-        looks = np.concatenate([[w], _guesses(places), _between(places) if len(A) <= EXACTLY else []])
+    last = np.pi if discrete else np.inf
+    looks = np.concatenate([[w], _guesses(places), _between(places) if len(A) <= EXACTLY else []])
+    if abs(best / gain - 1) > accuracy:
         best, where = _sought(at, looks[looks <= last], last)
-        if abs(best / exact(where) - 1) > DISAGREE and len(A) <= EXACTLY:
-            looks = np.concatenate([[where], looks, np.abs(places), np.abs(places.imag)])
-            return _sought(exact, _highest(at, looks[looks <= last]), last)
-    if where == 0:
-        return best, where
-    for start in [w, *rivals]:
+    for start in [w, *rivals] if where > 0 else []:
         near = places[np.argmin(np.abs(places - 1j * start))]
         top, x = _parabola(at, start, abs(float(near.real)))
         if top > best:
             best, where = top, x
-    return best, where
+    # two forms may agree by luck: whether the response is known so well, the exact one at the peak says
+    off = abs(best / exact.one(where) - 1)
+    if not off > accuracy or len(A) > EXACTLY:
+        return best, where
+    looks = np.concatenate([[where], looks, np.abs(places), np.abs(places.imag)])
+    looks = _highest(at, looks[looks <= last])
+    if off > CREDIBLE:
+        return _sought(exact, looks, last)
+    return _told_apart(at, exact, looks[at(looks) >= best * (1 - BELIEVED * off)], off, last)
 
 
 def refined_gain(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
@@ -147,17 +152,63 @@ def refined_gain(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
     return float(np.linalg.norm((C @ x + D).astype(np.complex128), 2))
 
 
-def _highest(at: Callable[[float], float], places: Array) -> Array:
+class _Known:
+    """A gain over frequency that is evaluated for many frequencies at once, and once only for each."""
+
+    def __init__(self, of: Callable[[Array], Array]) -> None:
+        self._of = of
+        self._known: dict[float, float] = {}
+
+    def __call__(self, w: Array) -> Array:
+        asked = [float(x) for x in w]
+        new = np.array(sorted({x for x in asked if x not in self._known}))
+        if new.size:
+            self._known.update(zip(new.tolist(), self._of(new).tolist(), strict=True))
+        return np.array([self._known[x] for x in asked])
+
+    def one(self, w: float) -> float:
+        return float(self(np.array([w]))[0])
+
+
+def _highest(at: _Known, places: Array) -> Array:
     """Return the places where a gain known to a few digits is highest."""
     w = np.unique(places)
-    gains = np.array([at(float(x)) for x in w])
+    gains = at(w)
     return w[np.argsort(-np.where(np.isfinite(gains), gains, 0.0), kind="stable")[:HIGHEST]]
 
 
-def _sought(at: Callable[[float], float], places: Array, last: float) -> tuple[float, float]:
+def _told_apart(at: _Known, exact: _Known, places: Array, off: float, last: float) -> tuple[float, float]:
+    """Return the exact peak among places that a response off by a share does not tell apart.
+
+    What that response can tell is not asked again: it bounds where each peak may lie, and the exact one, many times as
+    dear, decides only there.
+    """
+    gains = exact(places)
+    best, where = float(gains.max()), float(places[np.argmax(gains)])
+    for start in places[np.argsort(-gains, kind="stable")][:RIVALS]:
+        level = at.one(start) * (1 - BELIEVED * off)
+        edges = [_fallen(at, float(start), level, turn * DISAGREE * float(start), last) for turn in (-1, 1)]
+        top, x = _narrowed(exact, np.linspace(*edges, FEW), 2 * NARROWINGS, FEW)
+        if top > best:
+            best, where = top, x
+    return best, where
+
+
+def _fallen(at: _Known, start: float, level: float, step: float, last: float) -> float:
+    """Return how far from a peak a response is below a level, or an end of the axis; steps are doubled."""
+    x = start
+    for _ in range(DOUBLINGS):
+        x = float(np.clip(start + step, 0.0, last))
+        if x in (0.0, last) or at.one(x) < level:
+            break
+        step *= 2
+    return x
+
+
+def _sought(at: _Known, places: Array, last: float) -> tuple[float, float]:
     """Return the largest gain at some places, narrowed in on between the neighbours of the first few peaks."""
     w = np.unique(places)
-    gains = np.array([at(float(x)) for x in w])
+    gains = at(w)
     gains[~np.isfinite(gains)] = 0.0
     best, where = float(gains.max()), float(w[np.argmax(gains)])
     padded = np.concatenate([[0.0], gains, [0.0]])
@@ -173,15 +224,19 @@ def _sought(at: Callable[[float], float], places: Array, last: float) -> tuple[f
     return best, where
 
 
-def _narrowed(at: Callable[[float], float], places: Array) -> tuple[float, float]:
+def _narrowed(at: _Known, places: Array, rounds: int = NARROWINGS, points: int = INNER) -> tuple[float, float]:
     """Return the largest gain inside some places, between the neighbours of the best one again and again."""
     top, x = 0.0, float(places[0])
-    for _ in range(NARROWINGS):
+    for _ in range(rounds):
         w = np.unique(places)
-        gains = np.array([at(float(y)) for y in w])
-        k = int(np.argmax(np.where(np.isfinite(gains), gains, 0.0)))
+        gains = at(w)
+        gains[~np.isfinite(gains)] = 0.0
+        k = int(np.argmax(gains))
         top, x = (float(gains[k]), float(w[k])) if gains[k] > top else (top, x)
-        places = np.linspace(w[max(k - 1, 0)], w[min(k + 1, w.size - 1)], INNER)
+        near = [max(k - 1, 0), min(k + 1, w.size - 1)]
+        if gains[near].min() >= gains[k] * (1 - LEVEL):  # what is left to find is no longer part of the accuracy
+            break
+        places = np.linspace(*w[near], points)
     return top, x
 
 
@@ -189,16 +244,16 @@ def _rates(poles: Array) -> Array:
     return np.log(np.where(poles == 0, EARLIEST, poles).astype(np.complex128))
 
 
-def _parabola(at: Callable[[float], float], w: float, width: float) -> tuple[float, float]:
-    best, where, h, in_vain = at(w), w, width / 2, 0
+def _parabola(at: _Known, w: float, width: float) -> tuple[float, float]:
+    best, where, h, in_vain = at.one(w), w, width / 2, 0
     for _ in range(PARABOLAS):
         if not 0 < h < where or in_vain == 2:  # a parabola over less than a sixteenth of the width finds no more
             break
-        left, middle, right = (1 / at(x) ** 2 for x in (where - h, where, where + h))
+        left, middle, right = 1 / at(np.array([where - h, where, where + h])) ** 2
         bend = left - 2 * middle + right
         move = h * (left - right) / (2 * bend) if bend > 0 else (h if right < left else -h)
         new = where + float(np.clip(move, -4 * h, 4 * h))
-        higher = at(new) if new > 0 else 0.0
+        higher = at.one(new) if new > 0 else 0.0
         in_vain = 0 if higher > best * (1 + GAINED) else in_vain + 1
         if higher <= best:
             h /= 8

@@ -15,7 +15,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.design.gain_search import from_plant, without_weights
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
-from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.hinf.synthesis import synthesize_calm
 from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
 from ultraquiet.design.mean_channel import mean_channel, require_square
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
@@ -210,14 +210,8 @@ class BandAttenuation(StatedRobustness):
 
     def synthesis(self, plant: StateSpace) -> DesignResult:
         """Return the first stable controller over rising margins, or the first one when none is stable."""
-        P, first = self.generalised(plant), None
-        for margin in (self.margin, *(m for m in CALMER if m > self.margin)):
-            result = synthesize_hinf(P, *plant.D.shape, margin=margin)
-            if result.controller is None or result.controller.is_stable():
-                return first or result if result.controller is None else result
-            first = first or result
-        assert first is not None
-        return first
+        calmer = tuple(m for m in CALMER if m > self.margin)
+        return synthesize_calm(self.generalised(plant), *plant.D.shape, margin=self.margin, calmer=calmer)
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the generalised plant, inputs (w, u), outputs (W1 S w, W2 K S w, W3 T w, y)."""

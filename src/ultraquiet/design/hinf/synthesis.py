@@ -36,12 +36,14 @@ class SoughtLevel(NamedTuple):
     """What level a synthesis is to find: one that is asked for, or `margin` times the smallest.
 
     `expected` is where another theory has the smallest; None where none has. `second_opinion` as in `synthesize_hinf`.
+    `calmer` are further margins, tried in turn while the controller is unstable by itself.
     """
 
     gamma: float | None = None
     margin: float = 1.00003
     second_opinion: bool | None = None
     expected: float | None = None
+    calmer: tuple[float, ...] = ()
 
 
 @takes_systems
@@ -124,6 +126,28 @@ def synthesize_expected(
     return _synthesised(P, measurements, controls, sought, False)
 
 
+@single_threaded
+def synthesize_calm(
+    P: StateSpace, measurements: int, controls: int, margin: float, calmer: tuple[float, ...]
+) -> DesignResult:
+    """Return what `synthesize_hinf` does at the first margin whose controller is stable by itself, else at `margin`.
+
+    The smallest norm is searched for once: what was tried at one margin counts at the next.
+
+    Args:
+        P: generalised plant, inputs (w, u), outputs (z, y), continuous or discrete.
+        measurements: number of last outputs y.
+        controls: number of last inputs u.
+        margin: over the smallest norm, tried first.
+        calmer: margins that follow.
+
+    Raises:
+        InputError: a margin below one.
+    """
+    sought = SoughtLevel(margin=_at_least_one(margin), calmer=calmer)
+    return _synthesised(P, measurements, controls, sought, False)
+
+
 def _at_least_one(margin: float) -> float:
     if not positive("synthesize_hinf", "margin", margin) >= 1:
         raise InputError(f"synthesize_hinf: 'margin' must be at least one, got {margin:g}.")
@@ -159,15 +183,25 @@ def _solved(
         margin = sought.margin
         expected = None if sought.expected is None else sought.expected * problem.level
         bracket = search(v.plant, max(FINEST, COARSENESS * (margin - 1)), expected)
-        found = closed(v, bracket, margin)
-        if found is None:
-            return refused(_sentence(None, bracket.best.reason or v.said, True))
-        result = _result(v, bracket, found)
-        wanted = P.states <= SMALL if sought.second_opinion is None else sought.second_opinion
-        compared = wanted and result.status.ok and not bracket.is_zero
-        return _agreed(v, bracket, margin, _seconded(v, result)) if compared else result
+        result = first = _formed(v, bracket, margin, sought)
+        for calmer in sought.calmer:
+            if result.controller is None or result.controller.is_stable():
+                break
+            result = _formed(v, bracket, calmer, sought)
+        return result if result.controller is not None and result.controller.is_stable() else first
     except NumericalError as error:
         return refused(str(error))
+
+
+def _formed(v: Verifier, bracket: Bracket, margin: float, sought: SoughtLevel) -> DesignResult:
+    """Form and verify a controller at a margin, with the second opinion on the optimum where it is wanted."""
+    found = closed(v, bracket, margin)
+    if found is None:
+        return refused(_sentence(None, bracket.best.reason or v.said, True))
+    result = _result(v, bracket, found)
+    wanted = v.P.states <= SMALL if sought.second_opinion is None else sought.second_opinion
+    compared = wanted and result.status.ok and not bracket.is_zero
+    return _agreed(v, bracket, margin, _seconded(v, result)) if compared else result
 
 
 def _completed(

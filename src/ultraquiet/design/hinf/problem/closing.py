@@ -72,8 +72,10 @@ def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> 
     high = v.best.achieved * scale
     if high < proven * (1 - CONTRADICTED):
         proven = bracket.nought  # a controller that keeps a level is stronger than any proof that none does
-    shown = proven
-    low = max(proven, high / SPREAD)
+    # a search at another margin goes on where the one before ended
+    nothing, none = (0.0, 0.0) if contradicted else (level if level < high else 0.0 for level in v.searched)
+    shown = max(proven, none)
+    low = max(proven, high / SPREAD, nothing)
     for _ in range(STEPS):
         if high <= low * (1 + CLOSE):
             break
@@ -84,6 +86,7 @@ def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> 
             shown = max(shown, middle)
         before, high = high, min(high, v.best.achieved * scale)
         low = low if high < before else middle
+    v.searched = low, shown
     final = v.at(high * margin) if margin > 1 + CLOSE else None
     # a controller a little off the optimum is the better one to build; one far off it is not what was asked for
     chosen = final if final is not None and final.keeps and final.achieved * scale <= high * margin else v.best

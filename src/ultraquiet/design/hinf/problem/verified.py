@@ -19,6 +19,7 @@ from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
 KEPT = 1e-3  # a level is kept when the norm exceeds it by no more than this share
+MEASURED = 1e-6  # accuracy of the norms that levels are compared by, of which the finest share is ten times that
 
 
 class Reached(NamedTuple):
@@ -50,6 +51,7 @@ class Verifier:
         best: the controller with the smallest norm so far.
         said: why the last level failed.
         shown: whether that shows it to be out of reach; else an equation was not solved or a loop fell short.
+        searched: levels (of the even problem) under which an earlier search found nothing, and showed that nothing is.
     """
 
     P: StateSpace
@@ -61,6 +63,7 @@ class Verifier:
     best: Reached | None = None
     said: str = ""
     shown: bool = False
+    searched: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         M = (self.even.A, self.even.B, self.even.C, self.even.D)
@@ -108,7 +111,7 @@ class Verifier:
         if not is_stable(poles, self.P.rate_hz):
             self.said = f"the loop at level {bound:.6g} is unstable"
             return None
-        achieved, f_hz = hinf_norm(loop)
+        achieved, f_hz = hinf_norm(loop, MEASURED)
         if not np.isfinite(achieved):
             self.said = f"the loop at level {bound:.6g} is on the border of stability"
             return None
