@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from named_plants import bench_like, sensitivity_db
+from scipy.linalg import block_diag
 
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.analyse import h2_norm
@@ -229,6 +230,23 @@ BAD = [
 def test_bad_settings_are_refused_by_name(rng, settings, error, match):
     with pytest.raises(error, match=match):
         Lqg(**FLAT | settings).design(minimum_phase(rng))
+
+
+def test_units_change_no_verdict_on_a_band_in_the_loop(rng):
+    """States of the law and of the plant then differ by as much in size: the cost that is achieved was not found."""
+    z = np.exp([-0.048 + 0.9j, -6.4e-6 + 0.05j])
+    A = block_diag(*([[p.real, p.imag], [-p.imag, p.real]] for p in z), [[0.999]])
+    B, C = rng.standard_normal((5, 1)), rng.standard_normal((1, 5))
+    g = np.abs(StateSpace(A, B, C, [[0.0]], RATE).frequency_response([50.0]))[0, 0, 0]
+    words, costs = set(), []
+    for u, y in ((1.0, 1.0), (1e9, 1.0), (1e-9, 1.0), (1.0, 1e9), (1.0, 1e-9), (1e9, 1e9), (1e-9, 1e-9)):
+        design = Lqg(band_at="loop", band_hz=(10.0, 100.0), control_weight=1e-9 * (g * y * u) ** 2)
+        result = design.design(StateSpace(A, u * B, y * C, [[0.0]], RATE))
+        words.add(result.status.word)
+        costs.append(result.achieved)  # of disturbance and noise at the outputs, whatever their unit
+    assert len(words) == 1, words
+    assert result.controller is not None
+    assert costs == pytest.approx(costs[:1] * len(costs), rel=1e-5)
 
 
 @pytest.mark.slow

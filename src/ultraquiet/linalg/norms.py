@@ -280,7 +280,10 @@ def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
         return np.inf
     if not discrete and np.any(D != 0):
         return np.inf
-    form = modal(A, B, C)  # even blocks: a lightly damped mode beside a large coupling would lose its digits
+    d = even_scale(A, B, C)
+    form = modal(
+        A * d / d[:, None], B / d[:, None], C * d
+    )  # even blocks: a lightly damped mode beside a large coupling would lose its digits
     B = form.B
     Q = (stein if discrete else lyapunov)(form.A.T, form.C.T @ form.C)
     total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)
