@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frozen
+from ultraquiet._base.provenance import ByContents, content_hash
 from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.analyse.peaks import beside_poles, refined
 from ultraquiet.chart import Chart, law_colours
@@ -29,6 +31,7 @@ from ultraquiet.values.channel import ratio
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
+_Responses = tuple[FloatArray, ComplexArray, Mapping[str, ComplexArray]]
 FUNCTIONS: tuple[LoopFunction, ...] = ("S", "T", "KS")
 SHARP = 0.05  # damping below which a pole of a loop has lines of its own,
 WIDTHS = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])  # so many widths off
@@ -84,12 +87,23 @@ def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensi
     return replace(chart, caption=f"{chart.caption} {HIDDEN}") if hides else chart
 
 
-def _responses(result: StudyResult) -> tuple[FloatArray, ComplexArray, Mapping[str, ComplexArray]]:
+def _responses(result: StudyResult) -> _Responses:
     """Return the plant and every law over frequency, `(nf, outputs, inputs)`, with lines where a loop rings."""
-    f = result.analysis.facts.f_hz
-    f = np.unique(np.concatenate([f, *(_seen_at(result.design_plant, law, f) for law in result.laws.values())]))
-    plant = np.moveaxis(result.design_plant.frequency_response(f), 2, 0)
-    return f, plant, {name: np.moveaxis(law.frequency_response(f), 2, 0) for name, law in result.laws.items()}
+    f, plant, laws = result.analysis.facts.f_hz, result.design_plant, result.laws
+    parts = (part for name, law in laws.items() for part in (name, law.hash))
+    return _over_frequency(ByContents((f, plant, laws), content_hash(f, plant.hash, *parts)))
+
+
+# The charts of loops and of weights show the same: where S is largest is a search, and is made once.
+@lru_cache(maxsize=1)
+def _over_frequency(asked: ByContents[tuple[FloatArray, StateSpace, Mapping[str, StateSpace]]]) -> _Responses:
+    f, plant, laws = asked.value
+    f = np.unique(np.concatenate([f, *(_seen_at(plant, law, f) for law in laws.values())]))
+    return frozen(f), _matrices(plant, f), {name: _matrices(law, f) for name, law in laws.items()}
+
+
+def _matrices(system: StateSpace, f_hz: FloatArray) -> ComplexArray:
+    return frozen(np.moveaxis(system.frequency_response(f_hz), 2, 0))
 
 
 def _seen_at(plant: StateSpace, law: StateSpace, f_hz: FloatArray) -> FloatArray:
