@@ -47,6 +47,18 @@ def test_a_peak_is_met_when_asked_for(ground):
     assert 5.0 < result.peak_sensitivity_db <= 5.51
 
 
+def test_a_peak_out_of_reach_is_not_searched_for(monkeypatch):
+    """Where the least height has a higher peak than is asked for, no other one is designed for."""
+    tried, synthesis = [], BandAttenuation.synthesis
+    monkeypatch.setattr(
+        BandAttenuation, "synthesis", lambda self, plant: tried.append(self.height) or synthesis(self, plant)
+    )
+    plant = StateSpace([[0.9, 0.0], [1.0, 0.0]], [[1.0], [0.0]], [[0.0, 0.5]], [[0.0]], rate_hz=100.0)
+    result = BandAttenuation(band_hz=(1.0, 10.0), peak_db=0.1).design(plant)
+    assert result.peak_sensitivity_db > 0.1
+    assert tried == [result.details["height"]] * 2  # asked, and designed
+
+
 def test_common_mode_of_six_equal_channels_is_the_channel():
     one = StateSpace([[0.9]], [[1.0]], [[0.5]], [[0.0]], rate_hz=3500.0)
     part = common_mode(append(*[one] * 6))

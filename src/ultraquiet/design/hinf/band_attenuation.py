@@ -325,14 +325,20 @@ def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tup
 def _height_for_peak(settings: BandAttenuation, part: StateSpace, plant: StateSpace, peak_db: float) -> float:
     """Return the height at which the peak of the whole plant's S is `peak_db`, by bisection of its logarithm.
 
-    Controllers are designed for `part`: the plant itself, or the function that its channels share.
+    Controllers are designed for `part`: the plant itself, or the function that its channels share. The least height is
+    asked first: where its peak is higher, all others are designed in vain.
     """
     copies = plant.D.shape[0] // part.D.shape[0]
+
+    def over(logarithm: float) -> bool:
+        trial = replace(settings, height=float(np.exp(logarithm)), peak_db=None)
+        law = trial.synthesis(part).controller
+        return law is None or peak_sensitivity(plant, append(*[law] * copies))[0] > peak_db
+
     low, high = np.log(HEIGHTS)
+    if over(low):
+        return HEIGHTS[0]
     for _ in range(HEIGHT_STEPS):
         middle = (low + high) / 2
-        trial = replace(settings, height=float(np.exp(middle)), peak_db=None)
-        law = trial.synthesis(part).controller
-        over = law is None or peak_sensitivity(plant, append(*[law] * copies))[0] > peak_db
-        low, high = (low, middle) if over else (middle, high)
+        low, high = (low, middle) if over(middle) else (middle, high)
     return float(np.exp(low))
