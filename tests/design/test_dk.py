@@ -7,6 +7,8 @@ from scipy.optimize import minimize
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm, mu_bounds
 from ultraquiet.design import MuSynthesis
+from ultraquiet.design.mu import dk_iteration
+from ultraquiet.linalg import magnitude_fit
 from ultraquiet.linalg.magnitude_fit import fit_near
 from ultraquiet.testing import problems
 from ultraquiet.values import StateSpace
@@ -157,3 +159,27 @@ def test_fit_near_finds_a_filter_again(rng):
     assert error < 0.02
     assert np.all(W.poles.real < 0)
     assert np.all(W.zeros.real < 0)
+
+
+def test_each_loop_is_fitted_once_and_idle_gains_end_the_search(monkeypatch):
+    """A lag that turns its sign every sample: nothing is quiet at any gain, and nine gains were iterated for it."""
+    fitted, tried = [], []
+    every, attempt = dk_iteration.fitted_of_every_order, MuSynthesis._attempt
+    monkeypatch.setattr(dk_iteration, "fitted_of_every_order", lambda *a: fitted.append(a[1]) or every(*a))
+    monkeypatch.setattr(MuSynthesis, "_attempt", lambda self, even, g: tried.append(g) or attempt(self, even, g))
+    plant = StateSpace([[1.5, -0.6], [1.0, 0.0]], [[1.0], [0.0]], [[0.2, -0.6]], [[1.0]], 100.0)
+    result = MuSynthesis().design(plant)
+    print(f"{result.status.word} at gain {result.details['gain']:g} of {tried}; {len(fitted)} fits")
+    assert result.status.word == "short"
+    assert result.details["gain"] == tried[-2]  # of laws that do nothing, rounding does not say which
+    assert len(tried) <= 4
+    assert len({id(bounds) for bounds in fitted}) == len(fitted)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+def test_slopes_of_a_gain_are_those_of_its_differences(rng, order):
+    x, p, step = np.geomspace(0.01, 50.0, 40), rng.uniform(-1, 1, 1 + 2 * order), 1e-6
+    slopes = magnitude_fit._slopes(p, x, order)
+    for k, turn in enumerate(step * np.eye(p.size)):
+        ahead, behind = (magnitude_fit._log_gain(p + sign * turn, x, order) for sign in (1, -1))
+        np.testing.assert_allclose(slopes[:, k], (ahead - behind) / (2 * step), atol=1e-8)

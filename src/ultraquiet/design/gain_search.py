@@ -19,6 +19,8 @@ LAST = 2.0**-6  # below it nothing worth calling control is left
 # Of the margin: a law that only resembles the one judged keeps less than it, by a fifth on the worst of 40 plants.
 CLEARLY_LESS = 0.7
 LITTLE_DB = 1.0  # a law that lowers the RMS by less leaves the plant as it is
+NOTHING_DB = 0.01  # such a law leaves the plant as it is in all digits that are looked at
+IDLE = 2  # gains in turn with laws that do nothing, below which no other one is tried
 SPARE = 1.02  # of the margin, so that the last digits of another coordinate system do not decide
 
 
@@ -106,16 +108,21 @@ class _Tried:
         """Return the first loop that keeps the margin and quietens, else the quietest, and the gains passed over."""
         quietest: _Loop | None = None
         passed: list[float] = []
+        idle = 0
         for g in gains:
             drawn = None if sketch is None else sketch(self._even, g)
             if drawn is not None and surely_less(self._even.plant, drawn, CLEARLY_LESS * self._enough):
                 passed.append(g)
                 continue
             loop = self._kept(g)
-            if loop is not None and (quietest is None or loop.quieter > quietest.quieter):
+            if loop is None:
+                continue
+            # of laws that do nothing the first: which is the quietest of them, rounding would say
+            if quietest is None or loop.quieter > quietest.quieter + NOTHING_DB:
                 quietest = loop
-            if loop is not None and loop.quieter >= LITTLE_DB:
-                return loop, passed
+            idle = idle + 1 if abs(loop.quieter) < NOTHING_DB else 0
+            if loop.quieter >= LITTLE_DB or idle == IDLE:
+                return (loop if loop.quieter >= LITTLE_DB else quietest), passed
         return quietest, passed
 
     def _kept(self, g: float) -> _Loop | None:

@@ -50,7 +50,11 @@ def fit_above(w: FloatArray, bound: FloatArray, order: int) -> Factors:
     for start in _starts(x, wanted, order):
         kept = np.clip(start, low + 1e-6, high - 1e-6)
         minimum = least_squares(
-            lambda p: _miss(p, x, wanted, order), kept, bounds=(low, high), x_scale=1.0, max_nfev=EVALUATIONS
+            lambda p: _miss(p, x, wanted, order),
+            kept,
+            jac=lambda p: np.where(_miss(p, x, wanted, order) < 0, BELOW, 1.0)[:, None] * _slopes(p, x, order),
+            bounds=(low, high),
+            max_nfev=EVALUATIONS,
         )
         over = _log_gain(minimum.x, x, order) - wanted
         excess = float(np.mean(over - over.min()))
@@ -87,6 +91,7 @@ def fit_near(w: FloatArray, level: FloatArray, order: int, weight: FloatArray) -
         least_squares(
             lambda p: weight * (_log_gain(p, x, order) - wanted),
             np.clip(start, low + 1e-6, high - 1e-6),
+            jac=lambda p: weight[:, None] * _slopes(p, x, order),
             bounds=(low, high),
             max_nfev=EVALUATIONS,
         )
@@ -120,6 +125,26 @@ def _log_product(q: FloatArray, x: FloatArray, order: int) -> FloatArray:
         out += 0.5 * np.log((corner**2 - x**2) ** 2 + (2 * zeta * corner * x) ** 2)
     if order % 2:
         out += 0.5 * np.log(np.exp(2 * q[-1]) + x**2)
+    return out
+
+
+def _slopes(p: FloatArray, x: FloatArray, order: int) -> FloatArray:
+    """Return the derivatives `(nf, parameters)` of the logarithm of the gain."""
+    out = np.ones((x.size, p.size))
+    out[:, 1::2], out[:, 2::2] = _product_slopes(p[1::2], x, order), -_product_slopes(p[2::2], x, order)
+    return out
+
+
+def _product_slopes(q: FloatArray, x: FloatArray, order: int) -> FloatArray:
+    out = np.empty((x.size, q.size))
+    for k in range(order // 2):
+        corner, zeta = np.exp(q[2 * k]), np.exp(q[2 * k + 1])
+        real, imaginary = corner**2 - x**2, (2 * zeta * corner * x) ** 2
+        size = real**2 + imaginary
+        out[:, 2 * k] = (2 * corner**2 * real + imaginary) / size
+        out[:, 2 * k + 1] = imaginary / size
+    if order % 2:
+        out[:, -1] = np.exp(2 * q[-1]) / (np.exp(2 * q[-1]) + x**2)
     return out
 
 

@@ -207,37 +207,42 @@ class MuSynthesis(StatedRobustness):
         if reason:
             return steps, reason
         best, push, idle = min(steps, key=lambda s: s.peak[0]), PUSH, 0
+        fits: list[Scaling] | None = None  # of the best loop, which may stay the best for several turns
         for _ in range(self.iterations - 1):
             M = best.loop.frequency_response(f)
-            scaling = fitted(M, best.bounds, self.scaling_order, P.rate_hz, best.scaling, push)
+            if fits is None:
+                fits = fitted_of_every_order(M, best.bounds, self.scaling_order, P.rate_hz)
+            scaling = fitted(fits, M, best.bounds, P.rate_hz, best.scaling, push)
             trial, reason = self._step(P, shape, scaling, f)
             if trial is not None:
                 steps.append(trial)
             if trial is not None and trial.peak[0] < best.peak[0]:
                 idle = idle + 1 if trial.peak[0] > best.peak[0] * (1 - SETTLED) else 0
-                best, push = trial, min(2 * push, LARGEST_PUSH) or LEAST_PUSH
+                best, fits, push = trial, None, min(2 * push, LARGEST_PUSH) or LEAST_PUSH
                 reason = "mu stands still"
                 stands = idle >= PATIENCE
             else:
                 reason, stands = reason or "mu rises with the scalings that fit it", push == 0
                 push = push / 4 if push > LEAST_PUSH else 0.0
             if stands:
-                every = self._of_every_order(P, shape, best, f)
+                fits = fits or fitted_of_every_order(
+                    best.loop.frequency_response(f), best.bounds, self.scaling_order, P.rate_hz
+                )
+                every = self._of_every_order(P, shape, fits, f)
                 steps += every
                 other = min(every, key=lambda s: s.peak[0], default=best)
                 if other.peak[0] > best.peak[0] * (1 - SETTLED):
                     return steps, reason
-                best, push, idle = other, PUSH, 0
+                best, fits, push, idle = other, None, PUSH, 0
         return steps, f"all {self.iterations} iterations were made"
 
-    def _of_every_order(self, P: StateSpace, shape: tuple[int, ...], best: _Step, f: FloatArray) -> list[_Step]:
+    def _of_every_order(self, P: StateSpace, shape: tuple[int, ...], fits: list[Scaling], f: FloatArray) -> list[_Step]:
         """Return a step from where the iteration stands with scalings of each order above zero.
 
         Which order serves best is told by the fit to one loop, and that is a close thing; where it led nowhere another
         one may go on.
         """
-        scalings = fitted_of_every_order(best.loop.frequency_response(f), best.bounds, self.scaling_order, P.rate_hz)
-        trials = [self._step(P, shape, scaling, f)[0] for scaling in scalings[1:]]
+        trials = [self._step(P, shape, scaling, f)[0] for scaling in fits[1:]]
         return [trial for trial in trials if trial is not None]
 
     def _started(self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray) -> tuple[list[_Step], str]:
@@ -262,7 +267,9 @@ class MuSynthesis(StatedRobustness):
     def _step(self, P: StateSpace, shape: tuple[int, ...], scaling: Scaling, f: FloatArray) -> tuple[_Step | None, str]:
         """Return one K-step and mu of its loop, or why there is none."""
         ny, nu = shape
-        synthesised = synthesize_hinf(scaled(P, scaling, ny, nu), ny, nu, margin=self.margin)
+        # each loop is judged by its own mu: a second opinion on the K-step's optimum would change nothing
+        scaled_plant = scaled(P, scaling, ny, nu)
+        synthesised = synthesize_hinf(scaled_plant, ny, nu, margin=self.margin, second_opinion=False)
         if synthesised.controller is None:
             return None, synthesised.status.sentence
         loop = lft(P, synthesised.controller)

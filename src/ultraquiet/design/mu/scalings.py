@@ -36,20 +36,19 @@ def constant(blocks: tuple[tuple[int, int], ...], size: float, rate_hz: float | 
 
 
 def fitted(
-    M: ComplexArray, bounds: MuBounds, highest: int, rate_hz: float | None, used: Scaling, push: float
+    tried: list[Scaling], M: ComplexArray, bounds: MuBounds, rate_hz: float | None, used: Scaling, push: float
 ) -> Scaling:
-    """Return the smallest scaling within a percent of the best that orders up to `highest` give.
+    """Return the smallest scaling within a percent of the best of those of every order.
 
     Args:
+        tried: `fitted_of_every_order` of the same loop.
         M: response of the loop `(nz, nw, nf)` on the lines of the bounds.
         bounds: of mu there; the last block's scaling is one.
-        highest: order of the filters.
         rate_hz: of the design.
         used: the scaling that the loop was designed with.
         push: how much further than to the bound's scaling to go from the one used, as a share of the way; near their
             end, iterations without it creep.
     """
-    tried = fitted_of_every_order(M, bounds, highest, rate_hz)
     best = min(s.excess for s in tried)
     chosen = next(s for s in tried if s.excess <= WORTH * best)
     if push == 0:
