@@ -8,6 +8,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.design.decoupling.modal import Modal
 from ultraquiet.design.h2.usual_numbers import UsualVariances
+from ultraquiet.design.hinf.problem.units import even_problem
 from ultraquiet.design.hinf.usual_numbers import UsualNumbers
 
 # Without units, or in units of inputs `u` and outputs `y`, and Hz: what is given of each design, and how it changes.
@@ -124,3 +125,15 @@ def test_weights_that_the_plant_measures_are_not_there_beforehand(design):
     with pytest.raises(InputError, match="the plant is the measure"):
         design().weights(plant)
     assert set(design(height=3.0).weights(plant)) >= {"performance", "control"}
+
+
+@pytest.mark.parametrize(("u", "y"), [(1e-4, 1e5), (1e-9, 1e9), (1e9, 1e9)])
+def test_even_units_of_a_problem_stand_still(rng, u, y):
+    """Where they did not, what the equations say of levels hung on the units that the plant came in."""
+    design = uq.design.MixedSensitivity(form="sks")
+    for _ in range(5):
+        plant = scaled(ordinary(rng, (2, 2), modes=3), u, y)
+        first = even_problem(design.generalised(plant, design.weights(plant)), 2, 2)
+        again = even_problem(first.plant, 2, 2)
+        assert again.level == 1.0
+        assert {*again.controls, *again.measurements} == {1.0}

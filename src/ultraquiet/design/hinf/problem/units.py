@@ -8,7 +8,7 @@ from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
-ROUNDS = 4  # states, controls, measurements and the level depend on each other; they stand still after two or three
+ROUNDS = 20  # states, controls, measurements and the level depend on each other; they stand still after two to six
 
 
 class EvenProblem(NamedTuple):
