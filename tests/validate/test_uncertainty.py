@@ -118,6 +118,11 @@ def test_every_kind_bounds_its_own_error(kind, rng):
 
 
 def test_a_design_takes_the_weight_as_it_is(rng):
+    """Its weights see the outputs alone: at the inputs, S is I + G^-1 T G, and |G^-1 T G| up to cond(G) times |T|.
+
+    Outputs are robust in every draw; of ten, one has a plant of such a condition that its inputs are not, and is said
+    to be fragile.
+    """
     plant, result = two_by_two(rng)
     f = np.geomspace(2.0, 450.0, 80)
     weight = uq.validate.from_covariance(result, f).weight(plant.rate_hz, order=2)
@@ -128,11 +133,14 @@ def test_a_design_takes_the_weight_as_it_is(rng):
     law = design.controller
     radius = np.abs(problems.loop_poles(plant, law)).max()
     print(f"\n{design.status}; gamma {design.gamma:.3f}; on the true plant the slowest pole is {radius:.5f}")
-    assert design.status.ok
     assert radius < 1
     # gamma bounds |W T|: the part of the norm that robust stability asks about
     L = np.moveaxis(model.frequency_response(f), -1, 0) @ np.moveaxis(law.frequency_response(f), -1, 0)
     T = np.linalg.solve(np.eye(2) - L, L)
+    inputs, outputs = (design.margins[side].disk_all for side in ("input", "output"))
+    print(f"disk margins: inputs {inputs:.3f}, outputs {outputs:.3f}")
+    assert outputs >= 0.2
+    assert design.status.ok == (inputs >= 0.2)
     achieved = np.linalg.norm(T, 2, axis=(1, 2)) * np.abs(weight.system.frequency_response(f)[0, 0])
     print(f"largest |W T| {achieved.max():.3f}")
     assert achieved.max() <= design.achieved * (1 + 1e-6)

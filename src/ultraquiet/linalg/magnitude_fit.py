@@ -52,7 +52,7 @@ def fit_above(w: FloatArray, bound: FloatArray, order: int) -> Factors:
         minimum = least_squares(
             lambda p: _miss(p, x, wanted, order),
             kept,
-            jac=lambda p: np.where(_miss(p, x, wanted, order) < 0, BELOW, 1.0)[:, None] * _slopes(p, x, order),
+            jac=lambda p: _miss_slopes(p, x, wanted, order),  # pyright: ignore[reportArgumentType]
             bounds=(low, high),
             max_nfev=EVALUATIONS,
         )
@@ -91,7 +91,7 @@ def fit_near(w: FloatArray, level: FloatArray, order: int, weight: FloatArray) -
         least_squares(
             lambda p: weight * (_log_gain(p, x, order) - wanted),
             np.clip(start, low + 1e-6, high - 1e-6),
-            jac=lambda p: weight[:, None] * _slopes(p, x, order),
+            jac=lambda p: weight[:, None] * _slopes(p, x, order),  # pyright: ignore[reportArgumentType]
             bounds=(low, high),
             max_nfev=EVALUATIONS,
         )
@@ -151,6 +151,10 @@ def _product_slopes(q: FloatArray, x: FloatArray, order: int) -> FloatArray:
 def _miss(p: FloatArray, x: FloatArray, wanted: FloatArray, order: int) -> FloatArray:
     over = _log_gain(p, x, order) - wanted
     return np.where(over < 0, BELOW * over, over)
+
+
+def _miss_slopes(p: FloatArray, x: FloatArray, wanted: FloatArray, order: int) -> FloatArray:
+    return np.where(_miss(p, x, wanted, order) < 0, BELOW, 1.0)[:, None] * _slopes(p, x, order)
 
 
 def _limits(x: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:

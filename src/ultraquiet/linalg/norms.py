@@ -187,8 +187,8 @@ def _told_apart(at: _Known, exact: _Known, places: Array, off: float, last: floa
     best, where = float(gains.max()), float(places[np.argmax(gains)])
     for start in places[np.argsort(-gains, kind="stable")][:RIVALS]:
         level = at.one(start) * (1 - BELIEVED * off)
-        edges = [_fallen(at, float(start), level, turn * DISAGREE * float(start), last) for turn in (-1, 1)]
-        top, x = _narrowed(exact, np.linspace(*edges, FEW), 2 * NARROWINGS, FEW)
+        low, high = (_fallen(at, float(start), level, turn * DISAGREE * float(start), last) for turn in (-1, 1))
+        top, x = _narrowed(exact, np.linspace(low, high, FEW), 2 * NARROWINGS, FEW)
         if top > best:
             best, where = top, x
     return best, where
@@ -233,10 +233,12 @@ def _narrowed(at: _Known, places: Array, rounds: int = NARROWINGS, points: int =
         gains[~np.isfinite(gains)] = 0.0
         k = int(np.argmax(gains))
         top, x = (float(gains[k]), float(w[k])) if gains[k] > top else (top, x)
-        near = [max(k - 1, 0), min(k + 1, w.size - 1)]
-        if gains[near].min() >= gains[k] * (1 - LEVEL):  # what is left to find is no longer part of the accuracy
+        low, high = max(k - 1, 0), min(k + 1, w.size - 1)
+        if min(gains[low], gains[high]) >= gains[k] * (
+            1 - LEVEL
+        ):  # what is left to find is no longer part of the accuracy
             break
-        places = np.linspace(*w[near], points)
+        places = np.linspace(w[low], w[high], points)
     return top, x
 
 
