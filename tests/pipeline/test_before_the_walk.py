@@ -13,8 +13,9 @@ from ultraquiet.pipeline import preflight
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.store import entry as entries
 from ultraquiet.pipeline.store.contents import hashes_of
+from ultraquiet.pipeline.store.sources import list_of
 from ultraquiet.pipeline.study import StudyError, parse
-from ultraquiet.pipeline.walk import _list_of, _located, walk
+from ultraquiet.pipeline.walk import _located, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()
 LIST = """
@@ -129,7 +130,7 @@ def test_report_finds_the_list_that_stands_beside_the_study(tmp_path):
     left = _located(pipeline.load_study(tmp_path / "study.toml"), tmp_path).model_dump_json()
     (tmp_path / "study.json").write_text(left)
     again = pipeline.reload_study(tmp_path)
-    assert Path(_list_of(again, tmp_path / "out")) == tmp_path / "mine.toml"
+    assert Path(list_of(again, tmp_path / "out")) == tmp_path / "mine.toml"
 
 
 @pytest.mark.parametrize("path", ["../outside.h5", "models/../../outside.h5", "{absolute}", "models/link.h5", "", 3])

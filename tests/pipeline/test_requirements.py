@@ -203,7 +203,7 @@ disk_margin = -0.1
 def test_what_cannot_be_judged_is_refused_with_its_line():
     with pytest.raises(StudyError) as refused:
         parse(STUDY)
-    assert [line for line, _ in refused.value.mistakes] == [13]
+    assert [line for line, _ in refused.value.mistakes] == [11, 12, 13]
     with pytest.raises(StudyError) as refused:
         parse(STUDY.replace("-0.1", "0.1"))
     print(refused.value)

@@ -17,8 +17,8 @@ from ultraquiet.experiments import journal
 from ultraquiet.pipeline.store.contents import hash_of
 from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.pipeline.store.own import FILES, ROOMS
+from ultraquiet.pipeline.store.sources import place_beside as located
 from ultraquiet.pipeline.tables.matrices import matrix_of
-from ultraquiet.pipeline.walk import _at as located
 
 INSIDE = (*FILES, *ROOMS, "records/list.key", "stages/plant.json", "code/calm", "code/calm/README.md", "models/x.h5")
 

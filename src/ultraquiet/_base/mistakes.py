@@ -55,7 +55,7 @@ class Mistakes:
     def add_refusal(self, place: Place, error: ValidationError, model: type[BaseModel]) -> None:
         """Note everything that pydantic refused of a table at `place`."""
         for refusal in _of_their_kind(error.errors()):
-            self.add((*place, *_steps(refusal["loc"])), sentence(refusal, model))
+            self.add((*place, *steps(refusal["loc"])), sentence(refusal, model))
 
     def by_line(self) -> list[tuple[int, str]]:
         """Return all mistakes by line."""
@@ -70,7 +70,7 @@ class Mistakes:
         return len(self._mistakes)
 
 
-def _steps(loc: Sequence[str | int]) -> Place:
+def steps(loc: Sequence[str | int]) -> Place:
     """Return a place as somebody wrote it, without pydantic's words for keys and kinds."""
     return tuple(step for step in loc if not (isinstance(step, str) and KIND.fullmatch(step)))
 
@@ -101,7 +101,7 @@ def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, 
 
 def sentence(refusal: Any, model: type[BaseModel] | None) -> str:
     """Return what pydantic refused as a sentence, its table first; `model` is that of the table its path begins at."""
-    path = _steps(refusal["loc"])
+    path = steps(refusal["loc"])
     tables = _tables(path)
     return f"{tables}: {_said(refusal, path, model)}" if tables else _said(refusal, path, model)
 

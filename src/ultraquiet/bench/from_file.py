@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any, cast
 
 from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.lines import NO_LINE
+from ultraquiet._base.mistakes import TableError
 from ultraquiet._base.registry import known_are
 from ultraquiet.bench._abstract import Bench
 
@@ -44,10 +46,10 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
         signature = inspect.signature(make)
         if seed is not None and "seed" in signature.parameters and "seed" not in given:
             given["seed"] = seed
-        unknown = [key for key in given if key not in signature.parameters]
-        if unknown and not any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values()):
-            raise TypeError(f"there is no argument '{unknown[0]}'")
+        _require_known(reference, given, signature)
         signature.bind(**given)
+    except InputError:
+        raise
     except (TypeError, ValueError) as error:
         raise InputError(f"bench '{reference}': {error}; it takes {inspect.signature(make)}.") from error
     try:
@@ -65,6 +67,20 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
             f"{', '.join(MEMBERS)}."
         )
     return cast("Bench", bench)
+
+
+def _require_known(reference: str, given: Mapping[str, Any], signature: inspect.Signature) -> None:
+    """Refuse arguments that a callable does not take; all of them are told."""
+    if any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values()):
+        return
+    there = list(signature.parameters)
+    unknown = [
+        (NO_LINE, f"bench '{reference}': there is no argument '{key}'{known_are(key, there)}; it takes {signature}.")
+        for key in given
+        if key not in there
+    ]
+    if unknown:
+        raise TableError(f"bench '{reference}'", unknown)
 
 
 def of_a_bench(error: BaseException) -> str:

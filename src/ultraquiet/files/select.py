@@ -4,6 +4,8 @@ import re
 from collections.abc import Sequence
 
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.lines import NO_LINE
+from ultraquiet._base.mistakes import TableError
 from ultraquiet.files.table import Column, FileTable, is_ramp, role_of
 
 Choice = str | int | Sequence[str | int] | None
@@ -18,7 +20,7 @@ def inputs_and_outputs(table: FileTable, inputs: Choice, outputs: Choice) -> Pic
         raise InputError("read_record: --inputs and --outputs (inputs=, outputs=) go together; one of them is missing.")
     if inputs is None:
         return _speaking(table)
-    picked = chosen(table, inputs), chosen(table, outputs)
+    picked = _both(table, inputs, outputs)
     clock = table.time
     if clock is not None and any(c is clock for c in (*picked[0], *picked[1])):
         raise InputError(
@@ -28,6 +30,27 @@ def inputs_and_outputs(table: FileTable, inputs: Choice, outputs: Choice) -> Pic
     return picked
 
 
+def _both(table: FileTable, inputs: Choice, outputs: Choice) -> Picked:
+    """Return what is chosen of either side; where nothing can be, of which column is told for both."""
+    picked: list[list[Column]] = []
+    refused: list[str] = []
+    for choice in (inputs, outputs):
+        try:
+            picked.append(chosen(table, choice))
+        except TableError as error:
+            refused += [said for _, said in error.mistakes]
+        except InputError as error:
+            refused.append(str(error))
+    if refused:
+        raise _refusal(table, refused)
+    return picked[0], picked[1]
+
+
+def _refusal(table: FileTable, said: Sequence[str]) -> InputError:
+    several = TableError(f"read_record: '{table.path}'", [(NO_LINE, sentence) for sentence in dict.fromkeys(said)])
+    return several if len(several.mistakes) > 1 else InputError(said[0])
+
+
 def chosen(table: FileTable, choice: Choice) -> list[Column]:
     """Return the columns that a choice names: `"motor,load"`, `"1-2"`, `"data:3-30"`, `["a", "b"]`, `1`."""
     if isinstance(choice, int | str):
@@ -35,7 +58,15 @@ def chosen(table: FileTable, choice: Choice) -> list[Column]:
         items = [whole] if _called(table, whole) else whole.split(",")
     else:
         items = [str(item) for item in choice or ()]
-    picked = [column for item in items for column in _item(table, item.strip())]
+    picked: list[Column] = []
+    refused: list[str] = []
+    for item in items:
+        try:
+            picked += _item(table, item.strip())
+        except InputError as error:
+            refused.append(str(error))
+    if refused:
+        raise _refusal(table, refused)
     if not picked:
         raise InputError(f"read_record: no column was chosen from '{table.path}'; it holds {table.describe()}.")
     twice = sorted({c.name for c in picked if sum(c is other for other in picked) > 1})

@@ -32,27 +32,29 @@ MOST_SAMPLES = 1e8  # of all channels of one run; 0.8 GB
 def check(
     study: Study,
     bench: Any,
-    names: Sequence[str],
+    names: Sequence[str] | None,
     plan: ExperimentList | None = None,
     seen: Any = None,
+    noted: Mistakes | None = None,
 ) -> None:
     """Refuse units and tones that the bench does not have, and records that neither experiment nor files leave.
 
     With the list that is to be run a period is held against that of its signals. Bands, tones, lengths and what is said
     channel by channel are held against `seen`, a bench or record of the channels and the rate that laws have; the bench
-    itself when absent.
+    itself when absent. What was `noted` before is told with it; without names nothing is said of records.
 
     Raises:
         StudyError: every mistake, in one message.
     """
-    mistakes = study.mistakes()
+    mistakes = study.mistakes() if noted is None else noted
     if bench is not None and not reacts(bench):
         _played(study, mistakes)
     elif bench is not None:
         _closed_loop(study, bench, mistakes)
         _payload(study, bench, mistakes)
         _campaign(study, bench, mistakes)
-    _records(study, names, mistakes)
+    if names is not None:
+        _records(study, names, mistakes)
     wired = bench if seen is None else seen
     if wired is not None:
         _below_nyquist(study, wired.rate_hz, "the records'" if bench is None else "the bench's", mistakes)
@@ -61,7 +63,7 @@ def check(
         _shapes(study, wired, mistakes)
     if plan is not None:
         _period(study, plan, mistakes)
-    mistakes.refuse(StudyError, "study")
+    mistakes.refuse(StudyError, study.name)
 
 
 def reacts(bench: Any) -> bool:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, AliasChoices, ConfigDict, Field, PrivateAttr, ValidationError
 
@@ -17,10 +17,11 @@ from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.around import check_around
 from ultraquiet.pipeline.tables.blending import BlendingTable
 from ultraquiet.pipeline.tables.code import Deploy
-from ultraquiet.pipeline.tables.files import with_all_records
+from ultraquiet.pipeline.tables.files import check_sources, with_all_records
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
 from ultraquiet.pipeline.tables.numbers import LARGEST, Band, Decibels, FileName, Order, Positive, Seconds, Seed
 from ultraquiet.pipeline.tables.paper import Paper, with_paper
+from ultraquiet.pipeline.tables.sound import note_missing_files, without_refused
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.
@@ -192,12 +193,18 @@ class Study(Strict):
     validate_models: ValidateTable = Field(default=ValidateTable(), alias="validate")
     limits: LimitsTable = LimitsTable()
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
+    _name: str = PrivateAttr(default="study")
 
-    def at(self, places: Mapping[Place, int]) -> "Study":
-        """Return the study with the lines of its file on which things stand."""
+    def at(self, places: Mapping[Place, int], name: str = "study") -> "Study":
+        """Return the study with the name of its file and the lines on which things stand in it."""
         located = self.model_copy()
-        located._places = places
+        located._places, located._name = places, name
         return located
+
+    @property
+    def name(self) -> str:
+        """What opens the sentence about its mistakes: its file, if it was read from one."""
+        return self._name
 
     def mistakes(self) -> Mistakes:
         """Return a collector that knows these lines, if the study was read from a file."""
@@ -249,11 +256,11 @@ def load_study(path: Path) -> Study:
         text = read_regular_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"study: '{path}' cannot be read ({reason(error)}).") from error
-    return parse(text, str(path))
+    return parse(text, str(path), path.parent)
 
 
-def parse(text: str, name: str = "study") -> Study:
-    r"""Check the text of a study file.
+def parse(text: str, name: str = "study", beside: Path | None = None) -> Study:
+    r"""Check the text of a study file; with its folder, also that its files are there, where anything else is wrong.
 
     Raises:
         StudyError: it is not TOML, or holds mistakes; all of them are told, each with its line.
@@ -276,42 +283,31 @@ def parse(text: str, name: str = "study") -> Study:
     content, places = with_paper(content, places)
     content = with_all_records(content)
     mistakes = Mistakes(places)
-    _check_sources(content, mistakes)
+    check_sources(content, mistakes)
     for place, family, table in _methods(content):
         _check_method(place, family, table, mistakes)
+    study = _sound(content, mistakes)
+    if study is not None:
+        check_around(study.controllers, mistakes)
+        _check_requirements(study, mistakes)
+    if beside is not None and (mistakes or study is None):
+        note_missing_files(content, beside, mistakes)
+    if mistakes or study is None:
+        raise StudyError(name, mistakes.by_line())
+    return study.at(places, name)
+
+
+def _sound(content: Mapping[str, Any], mistakes: Mistakes) -> Study | None:
+    """Return the study of what the schema takes; note what it refuses."""
     try:
-        study = Study.model_validate(content)
+        return Study.model_validate(content)
     except ValidationError as error:
         mistakes.add_refusal((), error, Study)
-        raise StudyError(name, mistakes.by_line()) from None
-    check_around(study.controllers, mistakes)
-    _check_requirements(study, mistakes)
-    mistakes.refuse(StudyError, name)
-    return study.at(places)
-
-
-def _check_sources(content: Mapping[str, Any], mistakes: Mistakes) -> None:
-    """Note where neither a bench nor files give records, or both do."""
-    if "bench" not in content and "records" not in content:
-        mistakes.add((), "'bench' is missing.")
-    if "records" in content and "experiment" in content:
-        mistakes.add(("experiment",), "experiment: the records come from files here; leave one of both tables away.")
-    _check_bench(content.get("bench"), mistakes)
-
-
-def _check_bench(table: Any, mistakes: Mistakes) -> None:
-    """Note a bench that is named twice or not at all."""
-    if not isinstance(table, dict):
-        return
-    named = cast("dict[str, Any]", table)
-    if "method" in named and "object" in named:
-        mistakes.add(("bench", "object"), "bench: give either 'method' or 'object', not both.")
-    elif "method" not in named and "object" not in named:
-        mistakes.add(
-            ("bench",), "bench: give 'method', a registered bench, or 'object', \"FILE.py:CALLABLE\" beside the study."
-        )
-    elif "object" in named and not re.fullmatch(r".+\.py:[A-Za-z_]\w*", str(named["object"])):
-        mistakes.add(("bench", "object"), f"bench: 'object' is \"FILE.py:CALLABLE\", got '{named['object']}'.")
+        rest = without_refused(content, error)
+    try:
+        return None if rest is None else Study.model_validate(rest)
+    except ValidationError:  # what was refused stood for more
+        return None
 
 
 def _check_requirements(study: Study, mistakes: Mistakes) -> None:

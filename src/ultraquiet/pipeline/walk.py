@@ -3,8 +3,7 @@
 import json
 import shutil
 from collections.abc import Generator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import fields
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,10 @@ from typing import Any
 from ultraquiet import experiments
 from ultraquiet._base.beside import Said
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
-from ultraquiet._base.registry import lookup
 from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.bench import Replay
-from ultraquiet.bench.from_file import from_file
-from ultraquiet.files import read_record, reason, write_bytes
-from ultraquiet.identify.record_checks import in_and_out
+from ultraquiet.files import reason, write_bytes
 from ultraquiet.pipeline import control, preflight, study
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.facts.typed import to_plain
@@ -33,14 +29,14 @@ from ultraquiet.pipeline.store.copies import Copies
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.pipeline.store.recorded import Records
+from ultraquiet.pipeline.store.sources import bench_of, list_of, place_beside, sources
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
-from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records, in_modes, with_matrices
+from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.report import write
 from ultraquiet.values import Record
 
-PACKAGED_LISTS = ("suite",)
 STUDY_FILE = "study.json"
 LONG_SAMPLES = 100_000  # of a list; while they are measured there is time to make ready what identifies them
 
@@ -62,7 +58,7 @@ def measure(settings: study.Study, folder: Path, beside: Path | None = None, say
     if own is None:
         raise InputError("study: it has no bench that could measure; drop files instead.")
     bench = own if settings.blending is None else blended(own, settings.blending, beside)
-    listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
+    listed = experiments.load(list_of(settings, beside), bench, settings.study.seed)
     with locked(folder, say), _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)
@@ -158,18 +154,11 @@ def prepared(
 
     `identified`: whether all structures will be compared, for which a process makes itself ready meanwhile.
     """
-    own = bench_of(settings, beside)
-    read = {} if settings.records is None else _read(settings.records, beside)
-    bench, blending = own, None
-    seen = next(iter(read.values()), own)
-    if settings.blending is not None:
-        player = Replay(tuple(read.values())) if own is None else own
-        blending, whole, seen = _fitting(settings, settings.blending, player, beside)
-        bench = None if own is None else whole
+    mistakes = settings.mistakes()
+    found = sources(settings, beside, mistakes)
+    preflight.check(settings, found.bench, found.names, found.listed, found.seen, mistakes)
+    own, bench, blending, read, listed = found.own, found.bench, found.blending, found.read, found.listed
     describe = partial(identity, own, bench_table(settings), beside)
-    listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
-    names = list(read) if listed is None else [m.name for m in listed.measurements]
-    preflight.check(settings, bench, names, listed, seen)
     with locked(folder, say) as lock, _on_a_disk(folder), ExitStack() as processes:
         sweep(folder)
         _require_space(folder)
@@ -207,25 +196,6 @@ def prepared(
         yield Stages(settings, cache, bench, records, say, key, ahead=ahead)
 
 
-def _fitting(
-    settings: study.Study, table: BlendingTable, player: Any, beside: Path | None
-) -> tuple[BlendingTable, Any, Any]:
-    """Return the table with its matrices, the bench that is recorded and the one in modes.
-
-    Raises:
-        StudyError: matrices that do not fit, also those of files, with the line of theirs.
-    """
-    try:
-        blending = with_matrices(table, beside)
-        return blending, blended(player, blending), in_modes(player, blending)
-    except InputError as error:
-        mistakes, said = settings.mistakes(), str(error)
-        key = next((name for name in ("sensors", "actuators") if f"'{name}'" in said), None)
-        mistakes.add(("blending", *([] if key is None else [key])), said)
-        mistakes.refuse(study.StudyError, "study")
-        raise
-
-
 def _in_modes(
     own: Any, table: BlendingTable, records: Mapping[str, Record], say: Say
 ) -> tuple[Any, Mapping[str, Record]]:
@@ -257,38 +227,6 @@ def _write_study(settings: study.Study, folder: Path, beside: Path | None) -> No
     write_bytes(folder / STUDY_FILE, _located(settings, beside).model_dump_json(indent=1).encode())
 
 
-def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
-    """Return the records of a study's files by the names of these."""
-    records: dict[str, Record] = {}
-    mapping = None if table.mapping is None else _at(table.mapping, beside)
-    for name in table.files:
-        path = _at(name, beside)
-        if path.stem in records:
-            raise InputError(f"study: two files of [records] are called '{path.stem}'; rename one.")
-        record = read_record(path, table.rate_hz, table.inputs, table.outputs, mapping, keep_clock=True)
-        same = in_and_out(record)
-        if same:
-            raise InputError(f"study: '{same[0]}' of '{name}' goes in and comes out as well; name every column once.")
-        records[path.stem] = record
-    first = next(iter(records.values()))
-    for name, record in records.items():
-        if (record.rate_hz, record.actuators, record.sensors) != (first.rate_hz, first.actuators, first.sensors):
-            raise InputError(f"study: '{name}' has other channels or another rate than '{next(iter(records))}'.")
-    return records
-
-
-def _at(name: str, beside: Path | None) -> Path:
-    """Return the path of a file that a study names; what is relative stands beside the study."""
-    path = Path(name) if beside is None else beside / name
-    try:
-        with suppress(FileNotFoundError, NotADirectoryError):  # whoever reads it says that
-            path.lstat()
-        # A link keeps its own name, by which a record is called.
-        return path if beside is None else path.parent.resolve() / path.name
-    except (OSError, ValueError, RuntimeError) as error:  # too long, a NUL, links that go round in a circle
-        raise InputError(f"study: {name!r:.60} is no name of a file ({reason(error)}).") from error
-
-
 @contextmanager
 def _on_a_disk(folder: Path) -> Generator[None]:
     """Turn what a disk refuses, wherever it does, into one sentence."""
@@ -303,41 +241,18 @@ def _on_a_disk(folder: Path) -> Generator[None]:
         ) from error
 
 
-def bench_of(settings: study.Study, beside: Path | None) -> Any:
-    """Return the study's bench; one that draws noise starts from the study's seed unless it has its own."""
-    table = settings.bench
-    if table is None:
-        return None
-    if table.object is not None:
-        return from_file(table.object, beside or Path(), table.settings, settings.study.seed)
-    kind = lookup("bench", table.method)
-    draws = any(f.name == "seed" for f in fields(kind)) and "seed" not in table.settings
-    return table.make("bench", **({"seed": settings.study.seed} if draws else {}))
-
-
-def _list_of(settings: study.Study, beside: Path | None) -> str:
-    name = settings.experiment.list
-    if name is None and settings.bench is not None and settings.bench.method == "hexapod":
-        return PACKAGED_LISTS[0]
-    if name is None:
-        raise InputError(
-            "study: [experiment] names no 'list', a file of commands (TOML) beside the study; only the hexapod has one."
-        )
-    return name if name in PACKAGED_LISTS or beside is None else str(_at(name, beside))
-
-
 def _located(settings: study.Study, beside: Path | None) -> study.Study:
     """Return the study with where its files stand."""
     found: dict[str, Any] = {}
     if settings.records is None:
-        found["experiment"] = study.Experiment(list=_list_of(settings, beside))
+        found["experiment"] = study.Experiment(list=list_of(settings, beside))
     else:
-        files = [str(_at(name, beside)) for name in settings.records.files]
-        mapping = settings.records.mapping and str(_at(settings.records.mapping, beside))
+        files = [str(place_beside(name, beside)) for name in settings.records.files]
+        mapping = settings.records.mapping and str(place_beside(settings.records.mapping, beside))
         found["records"] = settings.records.model_copy(update={"files": files, "mapping": mapping})
     if settings.bench is not None and settings.bench.object is not None:
         name, _, attribute = settings.bench.object.rpartition(":")
-        found["bench"] = settings.bench.model_copy(update={"object": f"{_at(name, beside)}:{attribute}"})
+        found["bench"] = settings.bench.model_copy(update={"object": f"{place_beside(name, beside)}:{attribute}"})
     return settings.model_copy(update=found)
 
 
