@@ -1,6 +1,7 @@
 """`ultraquiet campaign`: a user's own bench drawn from a study file, interrupted, resumed, a case evaluated again."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -54,12 +55,36 @@ def test_a_users_bench_is_drawn_and_one_case_comes_out_again(study, run):
     assert summary["law"] == "calm"
     assert "drawn benches (truth)" in out
     worst = summary["worst"][0]
-    _, told, _ = run(*worst["replay"].split()[1:], "--json")
+    _, told, _ = run(*shlex.split(worst["replay"])[1:], "--json")
     again = json.loads(told)
     assert again["peak_db"] == pytest.approx(worst["peak_db"], abs=1e-9)
     code, out, err = run("campaign", "study.toml", "--benches", "8", "--workers", "1", "--resume")
     lines = (study / "study" / "campaign" / "results.jsonl").read_bytes().splitlines()
     assert len(lines) == 1 + 8
+
+
+ODD = "Rüttler 1/it's out"
+
+
+@pytest.mark.parametrize(
+    ("command", "folder"),
+    [("campaign", "out"), ("campaign", ODD), pytest.param("run", ODD, marks=pytest.mark.slow)],
+)
+def test_the_command_that_is_printed_repeats_its_case_where_the_results_are(command, folder, study, run):
+    """As a shell takes it apart, of a name with blanks, quotes and letters of other scripts too."""
+    name = Path("Prüfling 1.toml")
+    (study / name).write_text(STUDY + "[campaign]\nbenches = 2\nkeep = 1\n")
+    _, out, err = run(command, str(name), "--out", folder, *(["--workers", "1"] if command == "campaign" else []))
+    print(out, err)
+    (worst,) = json.loads((study / folder / "campaign.json").read_text())["worst"]
+    before = sorted(study.iterdir())
+    program, *words = shlex.split(worst["replay"])
+    code, told, err = run(*words, "--json")
+    print(worst["replay"], told, err)
+    assert (program, code) == ("ultraquiet", 0 if worst["stable"] else 1)
+    assert json.loads(told)["peak_db"] == pytest.approx(worst["peak_db"], abs=1e-9)
+    assert sorted(study.iterdir()) == before
+    assert command == "run" or worst["replay"] in out
 
 
 def test_what_cannot_be_drawn_is_refused_with_its_line(study, run):

@@ -10,6 +10,7 @@ from typing import Any
 
 from ultraquiet._base.beside import Said
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import command
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, requirements
@@ -150,7 +151,8 @@ class Stages(ModelStages):
         if name not in laws:
             return None
         campaign = defined(self.study, self.bench, laws[name], plan, table)
-        outcome = conducted(campaign, name, table, self.cache.folder, How(resume=None))
+        again = command("ultraquiet", "campaign", self.cache.folder)  # the study as it ran: it may be a quick one
+        outcome = conducted(campaign, name, table, self.cache.folder, How(resume=None, replay=again))
         self.say(f"campaign: {outcome[0].status}")
         return outcome
 

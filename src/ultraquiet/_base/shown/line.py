@@ -1,5 +1,6 @@
 """One line that says what an object is: its class, its status, and the numbers that fit."""
 
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
@@ -129,6 +130,15 @@ def opening(said: str) -> str:
     ('Ok: The loop is stable.', 'Not white', '')
     """
     return f"{said[:1].upper()}{said[1:]}"
+
+
+def command(*words: object) -> str:
+    """Return a command as a shell takes it: words with blanks or letters of other scripts are quoted.
+
+    >>> command("ultraquiet", "campaign", Path("my rig.toml"), "--out", Path("-out"))
+    "ultraquiet campaign 'my rig.toml' --out ./-out"
+    """
+    return shlex.join(f"./{w}" if isinstance(w, Path) and str(w).startswith("-") else str(w) for w in words)
 
 
 def word(shown: object) -> str:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ultraquiet._base.shown.line import counted
+from ultraquiet._base.shown.line import command, counted
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def campaign(
-    study: Annotated[Path, typer.Argument(help="The study file (TOML).")],
+    study: Annotated[Path, typer.Argument(help="The study file (TOML), or the folder of a study that has run.")],
     benches: Annotated[
         int | None, typer.Option("--benches", min=1, help="How many are drawn; default: the study's, or 50.")
     ] = None,
@@ -31,22 +31,26 @@ def campaign(
     """Draw benches, close the study's law on each, and say how its figures spread and what drives them."""
     from ultraquiet.cli.output.screen import screen
     from ultraquiet.deploy.figures import figure_text
-    from ultraquiet.pipeline import conduct, load_study, one_case
+    from ultraquiet.pipeline import conduct, load_study, one_case, reload_study
     from ultraquiet.pipeline.mission.campaign import How
     from ultraquiet.values import Status, StatusWord
 
-    loaded, folder = load_study(study), out or study.with_suffix("")
+    ran = study.is_dir()
+    loaded, beside = (reload_study(study), study) if ran else (load_study(study), study.parent)
+    folder = out or (study if ran else study.with_suffix(""))
     show = screen()
     if case is not None:
         with bars() as console:
-            row = one_case(loaded, folder, study.parent, console.print, case)
+            row = one_case(loaded, folder, beside, console.print, case)
         show.say(*(f"{_said(name)}: {figure_text(value)}" for name, value in row.items()))
         show.result(row)
         finish(Status(StatusWord.OK if row["stable"] else StatusWord.UNSTABLE, row["status"].partition(": ")[2]))
         return
-    how = How(workers, cluster, resume, f"ultraquiet campaign {study}" + ("" if out is None else f" --out {out}"))
+    how = How(
+        workers, cluster, resume, command("ultraquiet", "campaign", study, *(() if out is None else ("--out", out)))
+    )
     with bars() as console:
-        facts = conduct(loaded, folder, study.parent, console.print, how, benches)
+        facts = conduct(loaded, folder, beside, console.print, how, benches)
     show.table(_table(facts))
     show.say(facts.status, *(f"worst: case {each.case}, {each.unit}: {each.replay}" for each in facts.worst))
     show.say(f"table: {folder / 'campaign.parquet'}", f"summary: {folder / 'campaign.json'}")
