@@ -29,6 +29,7 @@ from ultraquiet.pipeline.facts.loops import (
     Reduction,
     StableLoop,
     ToneFacts,
+    ToneLevels,
     UnstableLoop,
 )
 from ultraquiet.pipeline.identification import for_method
@@ -250,7 +251,7 @@ def _closed_on(
         if settings.tones_hz:
             tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude, settings.duration_s)
         matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop)
-        measured = _measured(check, tones, matrix, settings, required_hz)
+        measured = _measured(loop.bench, check, tones, matrix, settings, required_hz)
     except UnheardError as error:
         return UnstableLoop(status=f"not measured: The loop settles. {error}"), (None, None)
     except UltraquietError as error:
@@ -262,6 +263,7 @@ def _closed_on(
 
 
 def _measured(
+    bench: Any,
     check: simulate.LoopCheck,
     tones: simulate.Attenuation | None,
     matrix: simulate.MeasuredSensitivity,
@@ -277,7 +279,7 @@ def _measured(
         lines_missing=matrix.lines_missing,
         lines_hidden=matrix.unresolved(),
         heard_hz=(float(matrix.f_hz[0]), float(matrix.f_hz[-1])),
-        tones={} if tones is None else {f"{f:g}": _tone(k, f, tones, matrix) for k, f in enumerate(settings.tones_hz)},
+        tones={} if tones is None else _tones(bench, tones, matrix, settings),
         broadband_5_100_db=_broadband(matrix, (5.0, 100.0)),
         broadband_10_60_db=_broadband(matrix, (10.0, 60.0)),
         broadband_db=_broadband(matrix, settings.band_hz),
@@ -301,18 +303,33 @@ def _known_growth(figure: float) -> float | None:
     return float(figure) if np.isfinite(figure) else None
 
 
-def _tone(k: int, tone_hz: float, tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity) -> ToneFacts:
-    return ToneFacts(
-        reduction_db=float(tones.worst_reduction_db[k]),
-        paper_db=float(tones.worst_paper_db[k]),
-        reduction_db_per_channel=tones.reduction_db[k],
-        paper_db_per_channel=tones.paper_db[k],
-        worst_direction_db=_at(matrix, tone_hz),
-        open_v=tones.open_v[k],
-        closed_v=tones.closed_v[k],
-        floor_v=tones.floor_v[k],
-        settled=tones.settled[k],
-    )
+def _tones(
+    bench: Any, tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity, settings: LoopPlan
+) -> dict[str, ToneFacts]:
+    """Return what became of each tone, by its frequency in Hz."""
+    return {
+        f"{f:g}": ToneFacts(
+            reduction_db=float(tones.worst_reduction_db[k]),
+            paper_db=float(tones.worst_paper_db[k]),
+            reduction_db_per_channel=tones.reduction_db[k],
+            paper_db_per_channel=tones.paper_db[k],
+            worst_direction_db=_at(matrix, f),
+            open_v=tones.open_v[k],
+            closed_v=tones.closed_v[k],
+            floor_v=tones.floor_v[k],
+            settled=tones.settled[k],
+            levels=ToneLevels(
+                units=tuple(c.unit for c in bench.sensors),
+                open=tones.open_v[k],
+                closed=tones.closed_v[k],
+                floor=tones.floor_v[k],
+                command=settings.amplitude,
+                command_units=tuple(c.unit for c in bench.actuators),
+                below_command_db=tones.paper_db[k],
+            ),
+        )
+        for k, f in enumerate(settings.tones_hz)
+    }
 
 
 def _at(matrix: simulate.MeasuredSensitivity, tone_hz: float) -> float | None:

@@ -104,10 +104,28 @@ class DesignFacts(DesignSummary):
 
 
 @fact
-class ToneFacts:
-    """One tone on the bench: the worst channel, every channel, the worst direction, amplitudes in the sensors' units.
+class ToneLevels:
+    """Amplitudes of a tone at the sensors, in their `units`: open, closed, and what noise alone would show.
 
-    `settled`: whether its amplitude stood still while it was measured.
+    `command` is the amplitude that is sent, in `command_units`, one an actuator; `below_command_db` is
+    -20 log10(closed / command) of these numbers, which counts the plant's own gain as well.
+    """
+
+    units: tuple[str, ...]
+    open: Vector
+    closed: Vector
+    floor: Vector
+    command: float
+    command_units: tuple[str, ...]
+    below_command_db: Vector
+
+
+@fact
+class ToneFacts:
+    """One tone on the bench: the worst channel, every channel, the worst direction, and `levels` with their units.
+
+    `open_v`, `closed_v`, `floor_v` and `paper_db` are older names of what is in `levels`, whatever the unit is. `settled`:
+    whether its amplitude stood still while it was measured.
     """
 
     reduction_db: float
@@ -119,6 +137,7 @@ class ToneFacts:
     closed_v: Vector
     floor_v: Vector
     settled: bool = True
+    levels: ToneLevels | None = None
 
 
 @fact
@@ -159,13 +178,18 @@ def of_the_bench(unit: str) -> str:
 class UnstableLoop:
     """A loop of which nothing is known but `status`, which begins with why.
 
-    It ran away, at once or under a disturbance; or it is not known whether it is stable; or noise hid all of it.
+    It ran away, at once or under a disturbance, and `stable` is false; or it is not known whether it is stable; or it
+    settled and noise hid all of it: then it is null.
     """
 
-    stable: Literal[False] = False
+    stable: Literal[False] | None = False
     status: str
     growth_per_s: float | None = None
     growth_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.word != StatusWord.UNSTABLE.value:
+            object.__setattr__(self, "stable", None)
 
     def on(self, name: str, unit: str) -> str:
         """Return what became of a law on a unit of the bench, in words."""
