@@ -2,6 +2,7 @@
 
 import math
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from ultraquiet.files.atomic import reason
 from ultraquiet.files.channel_rows import from_rows
 from ultraquiet.values import Channel, Record
 from ultraquiet.values.channel import channels
+from ultraquiet.values.joined.wires import places
 
 FORMAT = "ultraquiet-long"
 CHUNK_SAMPLES = 65_536  # of one channel: 256 kB of float32, a size that disks and HDF5's cache take at once
@@ -62,15 +64,22 @@ class LongRecord:
         self, path: _Path, inputs: str = "inputs", outputs: str = "outputs", rate_hz: float | None = None
     ) -> None:
         put = object.__setattr__
+        if not isinstance(path, str | os.PathLike):
+            raise InputError(f"LongRecord: 'path' must be the name of a file, got {path!r}.")
         put(self, "path", Path(path))
+        for name, place in (("inputs", inputs), ("outputs", outputs)):
+            if not isinstance(place, str):
+                raise InputError(f"LongRecord: '{name}' must be the name of a dataset, got {place!r}.")
         put(self, "_places", (inputs, outputs))
         with _opened(self.path) as file:
             attributes = dict(file.attrs)
             shapes = [_shape(self.path, file, name) for name in self._places]
         rate_hz = attributes.get("rate_hz") if rate_hz is None else rate_hz
+        if isinstance(rate_hz, np.ndarray) and rate_hz.size == 1:  # some programs know no attribute but arrays
+            rate_hz = rate_hz.item()
         if rate_hz is None:
             raise InputError(f"LongRecord: '{self.path}' does not say its rate; give rate_hz.")
-        put(self, "rate_hz", positive("LongRecord", "rate_hz", float(rate_hz), "Hz"))
+        put(self, "rate_hz", positive("LongRecord", "rate_hz", rate_hz, "Hz"))
         if shapes[0][1] != shapes[1][1]:
             raise InputError(f"LongRecord: inputs have {shapes[0][1]} samples but outputs have {shapes[1][1]}.")
         put(self, "samples", shapes[0][1])
@@ -95,14 +104,21 @@ class LongRecord:
         parts = [a for s in starts for a in self.read(s, min(self.samples, s + CHUNK_SAMPLES // SAMPLED_BLOCKS))]
         return content_hash(self.rate_hz, self.samples, list(self._rows), *parts)
 
-    def pick(self, inputs: Sequence[int] | None = None, outputs: Sequence[int] | None = None) -> "LongRecord":
-        """Return the record with the named channels (by index) only; the others are not read."""
-        chosen: list[tuple[int, ...]] = []
-        for name, indices, rows in zip(("inputs", "outputs"), (inputs, outputs), self._rows, strict=True):
-            beyond = [k for k in indices or () if not 0 <= k < len(rows)]
-            if beyond:
-                raise InputError(f"LongRecord.pick: '{name}' has no index {beyond[0]}; there are {len(rows)} (from 0).")
-            chosen.append(tuple(range(len(rows))) if indices is None else tuple(indices))
+    def pick(
+        self, inputs: Sequence[int | str] | None = None, outputs: Sequence[int | str] | None = None
+    ) -> "LongRecord":
+        """Return some input and output channels, by index from 0 or by name; all of a side when absent.
+
+        The others are not read.
+
+        Raises:
+            InputError: no such channel, or none of a side.
+        """
+        chosen: list[list[int]] = []
+        for name, given, wires in (("inputs", inputs, self.actuators), ("outputs", outputs, self.sensors)):
+            chosen.append(places("LongRecord.pick", given, wires))
+            if not chosen[-1]:
+                raise InputError(f"LongRecord.pick: '{name}' must name at least one channel, got none.")
         picked = object.__new__(LongRecord)
         for key, value in self.__dict__.items():
             object.__setattr__(picked, key, value)
@@ -117,19 +133,34 @@ class LongRecord:
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield inputs `(nu, m)` and outputs `(ny, m)` in float64 from `start` to `stop`, `size` samples at a time."""
         whole("LongRecord.blocks", "size", size, 1)
-        end = self.samples if stop is None else min(stop, self.samples)
+        start, end = self._span("LongRecord.blocks", start, stop)
         with _opened(self.path) as file:
             for at in range(start, end, size):
                 yield self._block(file, at, min(end, at + size))
 
-    def read(self, start: int, stop: int) -> tuple[FloatArray, FloatArray]:
-        """Return inputs and outputs of one stretch."""
+    def read(self, start: int = 0, stop: int | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return inputs and outputs of one stretch; as of a list, what is negative counts from the end."""
+        start, stop = self._span("LongRecord.read", start, stop)
         with _opened(self.path) as file:
             return self._block(file, start, stop)
 
-    def part(self, start: int, stop: int) -> Record:
-        """Return samples `start` to `stop` (excluded) as a record in memory."""
-        return Record(*self.read(start, stop), self.rate_hz, self.actuators, self.sensors)
+    def part(self, start: int = 0, stop: int | None = None) -> Record:
+        """Return samples `start` to `stop` (excluded) as a record in memory; counted as by `Record.part`.
+
+        Raises:
+            InputError: no whole numbers, or a stretch that holds no samples.
+        """
+        first, last = self._span("LongRecord.part", start, stop)
+        return Record(*self.read(first, last), self.rate_hz, self.actuators, self.sensors)
+
+    def _span(self, who: str, start: int, stop: int | None) -> tuple[int, int]:
+        """Return first and last sample (excluded) of a stretch, cut to what there is."""
+        for name, value in (("start", start), ("stop", stop)):
+            whole(who, name, 0 if value is None else value, -sys.maxsize)
+        first, last, _ = slice(start, stop).indices(self.samples)
+        if first >= last:
+            raise InputError(f"{who}: there are no samples from {start} to {stop}; there are {self.samples}.")
+        return first, last
 
     def _block(self, file: Any, start: int, stop: int) -> tuple[FloatArray, FloatArray]:
         u, y = (self._signals(file[p], r, start, stop) for p, r in zip(self._places, self._rows, strict=True))

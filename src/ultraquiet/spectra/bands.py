@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.spectra.averaging import Averaging
 from ultraquiet.spectra.psd import PowerSpectrum
 from ultraquiet.values import Channel, Record
+from ultraquiet.values.handed_over.kinds import of_kind
 
 # IEC 61260-1:2014, 5.2: the octave ratio, base ten, and the reference frequency.
 OCTAVE = 10.0**0.3
@@ -123,7 +124,7 @@ def band_levels(
 
     Reference: IEC 61260-1:2014; statistics Bendat and Piersol 2010, section 8.5, doi:10.1002/9781118032428.
     """
-    plan = spectrum.averaging
+    plan = of_kind("band_levels", "spectrum", spectrum, PowerSpectrum).averaging
     fraction = whole("band_levels", "fraction", fraction, 1, FINEST)
     width = OCTAVE ** (0.5 / fraction) - OCTAVE ** (-0.5 / fraction)
     least, most = RESOLVED * plan.enbw_hz / width, plan.rate_hz / 2 / OCTAVE ** (0.5 / fraction)

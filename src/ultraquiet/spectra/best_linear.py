@@ -13,6 +13,7 @@ from ultraquiet.spectra.detection import Detection, detection
 from ultraquiet.spectra.local_polynomial import scatter_about_smooth
 from ultraquiet.spectra.periodic import excited_lines, steady_periods
 from ultraquiet.values import FrequencyResponse, Record, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 WHO = "best_linear"
 # Variance ratios from so few draws scatter; distortion is called present when it exceeds the noise by this factor.
@@ -52,6 +53,7 @@ class BestLinear:
     status: Status
 
 
+@takes_values
 def best_linear(
     records: Record | Sequence[Record] | Sequence[Sequence[Record]],
     period_samples: int,

@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
 from ultraquiet.spectra.bands import BandLevels, Bands, octave_bands
 from ultraquiet.values import Channel
+from ultraquiet.values.handed_over.kinds import of_kind
 
 # Limits of velocity are flat above this frequency, limits of acceleration below: the velocity allowed rises as 1/f.
 KNEE_HZ = 8.0
@@ -113,7 +114,7 @@ def criterion(name: str) -> Criterion:
     400.0
     """
     for one in CRITERIA:
-        if name.lower() in (one.name.lower(), one.name.lower().removesuffix(" (iso)")):
+        if str(name).lower() in (one.name.lower(), one.name.lower().removesuffix(" (iso)")):
             return one
     raise InputError(f"criteria: there is no '{name}'; known are {', '.join(c.name for c in CRITERIA)}.")
 
@@ -148,6 +149,7 @@ def classify(levels: BandLevels, criteria: Sequence[Criterion] = CRITERIA) -> Cl
 
     Reference: IEST-RP-CC012.3 (2015); Gordon 1991, doi:10.1117/12.56822; ISO 2631-2:1989.
     """
+    of_kind("classify", "levels", levels, BandLevels)
     if levels.bands.fraction != 3:
         raise InputError(f"classify: the criteria are for one-third octaves, got 1/{levels.bands.fraction} octaves.")
     scale = np.array([_per_metre_per_second(c) for c in levels.channels])

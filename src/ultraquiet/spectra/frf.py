@@ -15,6 +15,7 @@ from ultraquiet.spectra.averaging import segments
 from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
 from ultraquiet.spectra.excited import Group, alive_lines, excited_together, refuse_dead_outputs
 from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 ESTIMATORS = ("H1", "H2", "Hv")
 
@@ -27,6 +28,7 @@ class _Choice:
     noise: FloatArray | None
 
 
+@takes_values
 def frf(
     records: Record | CrossSpectra | Sequence[Record],
     segment_samples: int | None = None,

@@ -5,6 +5,7 @@ import numpy as np
 from ultraquiet._base.constraints import between
 from ultraquiet._base.errors import InputError
 from ultraquiet.values import FrequencyResponse
+from ultraquiet.values.handed_over.kinds import takes_values
 
 # A coherence of one to the last digit tells the precision of a file, not of a measurement.
 NEAREST_TO_ONE = 1e-9
@@ -12,6 +13,7 @@ NEAREST_TO_ONE = 1e-9
 FEWEST = 1.5
 
 
+@takes_values
 def with_coherence_variance(response: FrequencyResponse, averages: float) -> FrequencyResponse:
     """Return the response with the variance that its coherence tells: |G|^2 (1 - c) / (c K), K averages.
 

@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 WHO = "local_polynomial"
 # So many complex numbers are factored at a time: 64 MB.
@@ -34,6 +35,7 @@ class LocalPolynomial:
 
 
 @single_threaded
+@takes_values
 def local_polynomial(
     records: Record | Sequence[Record],
     order: int = 2,

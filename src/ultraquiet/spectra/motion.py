@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray, frozen, one_of
 from ultraquiet._base.errors import InputError
 from ultraquiet.spectra.psd import PowerSpectrum
 from ultraquiet.values import Channel, FrequencyResponse
+from ultraquiet.values.handed_over.kinds import of_kind, takes_values
 
 # How many times each is differentiated from displacement.
 QUANTITIES = MappingProxyType({"displacement": 0, "velocity": 1, "acceleration": 2})
@@ -42,6 +43,7 @@ def convert_spectrum(spectrum: PowerSpectrum, given: str, wanted: str) -> PowerS
     >>> float(round(convert_spectrum(a, "acceleration", "velocity").rms(40, 60)[0] * 2 * np.pi * 50 * np.sqrt(2), 3))
     1.0
     """
+    spectrum = of_kind("convert_spectrum", "spectrum", spectrum, PowerSpectrum)
     steps, factors, channels = _plan("convert_spectrum", spectrum.channels, given, wanted)
     lines = spectrum.f_hz > 0 if steps < 0 else np.ones(spectrum.f_hz.size, dtype=bool)
     weight = (2.0 * np.pi * spectrum.f_hz[lines]) ** (2.0 * steps)
@@ -49,6 +51,7 @@ def convert_spectrum(spectrum: PowerSpectrum, given: str, wanted: str) -> PowerS
     return replace(spectrum, f_hz=frozen(spectrum.f_hz[lines]), values=frozen(values), channels=channels)
 
 
+@takes_values
 def convert_response(response: FrequencyResponse, given: str, wanted: str) -> FrequencyResponse:
     """Return a response whose outputs are one kind of motion as that of another, with its variance.
 

@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import counted
 from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 # A line counts as excited when it stands this far above the median line of the input's spectrum, or above this share
 # of the strongest: commands are exact, so the lines that are not meant hold rounding alone.
@@ -18,6 +19,7 @@ EXCITED_SHARE = 1e-6
 REPEATS = 0.5
 
 
+@takes_values
 def periodic_response(records: Sequence[Record], period_samples: int, settle_periods: int = 1) -> FrequencyResponse:
     """Return G(f) = Y / U at the excited lines, averaged over the periods, with the variance of that average.
 

@@ -1,13 +1,13 @@
 """Transmissibility from base to payload, from readings alone."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of, same_rate
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of, positive, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.spectra import estimators
@@ -15,6 +15,7 @@ from ultraquiet.spectra.averaging import Averaging, segments
 from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
 from ultraquiet.spectra.excited import Group, alive_lines
 from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 WHO = "transmissibility"
 ESTIMATORS = ("H1", "H2", "Hv", "reference")
@@ -65,16 +66,19 @@ class Transmissibility:
             return 20.0 * np.log10(np.maximum(size - reach, 0.0)), 20.0 * np.log10(size + reach)
 
 
+@takes_values
 def magnitude_error(response: FrequencyResponse, degrees: float, level: float = 0.95) -> FloatArray:
     """Return half the width of the confidence interval of |G|, `(ny, nu, nf)`, from its variance."""
     from scipy.stats import t
 
     if response.variance is None:
         raise InputError("magnitude_error: the response carries no variance; estimate it with spectra.frf.")
+    positive("magnitude_error", "degrees", degrees)
     p = 1.0 - between("magnitude_error", "level", level, 0.01, 0.9999)
     return float(t.ppf(1 - p / 2, 2.0 * degrees)) * np.sqrt(response.variance / 2.0)
 
 
+@takes_values
 def transmissibility(
     records: Record | CrossSpectra | Sequence[Record],
     base: Choice,
@@ -169,10 +173,10 @@ def _rows(cross: CrossSpectra, side: str, chosen: Choice) -> list[int]:
     """Return the rows of sensors given by name or index."""
     names = [c.name for c in cross.sensors]
     rows: list[int] = []
-    listed = [chosen] if isinstance(chosen, str | int) else list(chosen)
+    listed = [chosen] if isinstance(chosen, str) or not isinstance(chosen, Iterable) else list(chosen)
     for one in listed:
         k = names.index(one) if isinstance(one, str) and one in names else one
-        if not isinstance(k, int | np.integer) or not 0 <= k < len(names):
+        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < len(names):
             raise InputError(f"{WHO}: '{side}' names sensor {one!r}; known are {', '.join(names)}.")
         rows.append(len(cross.actuators) + int(k))
     if not rows or len(set(rows)) < len(rows):

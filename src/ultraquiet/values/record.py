@@ -98,7 +98,7 @@ class Record(Shown, RecordNeighbours):
     def part(self, start: int = 0, stop: int | None = None) -> "Record":
         """Return samples `start` to `stop` (excluded) as a record."""
         for name, value in (("start", start), ("stop", stop)):
-            whole("Record.part", name, value or 0, -sys.maxsize)
+            whole("Record.part", name, 0 if value is None else value, -sys.maxsize)
         rows = slice(start, stop)
         return Record(
             self.inputs[:, rows], self.outputs[:, rows], self.rate_hz, self.actuators, self.sensors, self.provenance

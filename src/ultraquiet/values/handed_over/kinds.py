@@ -16,6 +16,7 @@ from ultraquiet.values.record import Record
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 CHECKED = {Record, FrequencyResponse, PolynomialMatrix, PolynomialModel}
 
 
@@ -49,6 +50,17 @@ def takes_values(verb: Callable[P, R]) -> Callable[P, R]:
         return verb(*passed, **named)  # type: ignore[arg-type]
 
     return through
+
+
+def of_kind(who: str, name: str, value: Any, kind: type[T]) -> T:
+    """Return what is of a kind that no room below its own knows.
+
+    Raises:
+        InputError: anything else.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{who}: '{name}' must be {_words(kind)}, got {_seen(value)}.")
+    return value
 
 
 def answering(who: str, name: str, value: Any) -> Any:
@@ -119,4 +131,4 @@ def _seen(value: Any) -> str:
     return f"a list of {', '.join(kinds) or 'nothing'}"
 
 
-__all__ = ["answering", "takes_values"]
+__all__ = ["answering", "of_kind", "takes_values"]
