@@ -5,10 +5,12 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet.files import LongRecord, LongWriter
+from ultraquiet.identify.subspace import unexcited
 from ultraquiet.identify.subspace.fit import Scaled
 from ultraquiet.identify.subspace.unexcited import silent_bands, topped_up
 
 RATE_HZ, STOP_HZ = 2000.0, 500.0
+INSIDE_HZ, BEYOND_HZ = np.geomspace(10.0, 0.98 * STOP_HZ, 60), np.linspace(1.1 * STOP_HZ, 990.0, 60)
 
 
 def flexible(channels=2):
@@ -40,36 +42,72 @@ def off(model, plant, f_hz):
     return np.linalg.norm(G - M, 2, axis=(1, 2)) / np.linalg.norm(G, 2, axis=(1, 2))
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
-def test_a_model_of_too_many_states_invents_nothing_where_nothing_was_asked(seed, unit):
+def found_in(record):
+    return uq.identify.Subspace(order=20, horizon=20).identify(record).state_space()
+
+
+def sizes(model, plant):
+    """How far a model is off inside the band, in the middle, and beyond it (RMS), by the plant's own size."""
+    inside, beyond = (off(model, plant, f_hz) for f_hz in (INSIDE_HZ, BEYOND_HZ))
+    return float(np.median(inside)), float(np.sqrt(np.mean(beyond**2)))
+
+
+@pytest.mark.slow
+@pytest.mark.draws(false_alarm=2e-2)  # as many of 289 such records, drawn 100 000 times
+def test_a_model_of_too_many_states_is_no_further_off_than_none_where_nothing_was_asked(seed):
+    """In the mean square over records, no worse than to say nothing; of a single record no method can promise it.
+
+    An estimate that is drawn towards zero as its prior is has a mean square error no larger than that of zero, over all
+    it may be drawn from: 289 records were off by 0.36 to 2.11 times the plant, 0.88 in all, 21 % of them by more than
+    the plant.
+    """
+    plant = flexible()
+    found = np.array([sizes(found_in(recorded(plant, 3000, 0.03, 100 * seed + k)), plant) for k in range(32)])
+    size = float(np.sqrt(np.mean(found[:, 1] ** 2)))
+    print(f"{found[:, 0].max():.2%} off inside, {size:.2f} times the plant beyond, at most {found[:, 1].max():.2f}")
+    assert found[:, 0].max() < 0.02
+    assert size < 1.0
+
+
+@pytest.mark.draws(false_alarm=9e-4)  # three of twenty such ratios, drawn 200 000 times
+def test_a_model_of_too_many_states_invents_nothing_where_nothing_was_asked(seed, monkeypatch):
+    """Left to the others' needs it invents fifty times as much in the middle of twenty records, 1.6 to 384 times."""
+    plant, ratios = flexible(), []
+    for k in range(3):
+        record = recorded(plant, 3000, 0.03, 100 * seed + k)
+        heard = sizes(found_in(record), plant)
+        with monkeypatch.context() as unheard:
+            unheard.setattr(unexcited, "silent_bands", lambda u: [])
+            left = sizes(found_in(record), plant)
+        print(f"{heard[0]:.2%} off inside, {heard[1]:.2f} times the plant beyond, left to itself {left[1]:.1f}")
+        assert heard[0] < 0.02
+        ratios.append(left[1] / heard[1])
+    assert np.exp(np.mean(np.log(ratios))) > 3.0
+
+
+@pytest.mark.parametrize("unit", [1e9, 1e-9])
+def test_units_of_a_record_change_nothing_beyond_its_band(seed, unit):
     plant = flexible()
     record = recorded(plant, 3000, 0.03, seed)
     scaled = uq.Record(unit * record.inputs, record.outputs / unit, rate_hz=RATE_HZ)
-    model = uq.identify.Subspace(order=20, horizon=20).identify(scaled).model
-    model = uq.StateSpace(model.A, unit * model.B, unit * model.C, unit**2 * model.D, RATE_HZ)
-    inside = off(model, plant, np.geomspace(10.0, 0.98 * STOP_HZ, 60))
-    beyond = off(model, plant, np.linspace(1.1 * STOP_HZ, 990.0, 60))
-    size = float(np.sqrt(np.mean(beyond**2)))
-    print(f"unit {unit:g}: {np.median(inside):.2%} off inside, {size:.2f} times the plant beyond")
-    assert np.median(inside) < 0.02
-    assert size < 1.0  # no worse than to say nothing; left to the others' needs it is tens and hundreds of times
+    model, there = found_in(record), found_in(scaled)
+    there = uq.StateSpace(there.A, unit * there.B, unit * there.C, unit**2 * there.D, RATE_HZ)
+    for f_hz in (INSIDE_HZ, BEYOND_HZ):
+        apart = off(there, model, f_hz).max()
+        print(f"unit {unit:g}: {apart:.1e} of the model apart")
+        assert apart < 1e-6
 
 
 def test_a_record_on_disk_has_the_same_silent_bands(seed, tmp_path):
-    """Of one stretch: the plant beyond the band is not exceeded (unheard, it is a hundred times and more)."""
+    """The model of samples in single precision is that in memory (where its bands are unheard, a hundred times off)."""
     plant = flexible()
     record = recorded(plant, 3000, 0.03, seed)
     path = tmp_path / "record.h5"
     with LongWriter(path, record.rate_hz, record.actuators, record.sensors) as file:
         file.append(record.inputs, record.outputs)
-    beyond_hz = np.linspace(1.1 * STOP_HZ, 990.0, 60)
-    for where, each in (("memory", record), ("disk", LongRecord(path))):
-        model = uq.identify.Subspace(order=20, horizon=20).identify(each).state_space()
-        inside = np.median(off(model, plant, np.geomspace(10.0, 0.98 * STOP_HZ, 60)))
-        beyond = float(np.sqrt(np.mean(off(model, plant, beyond_hz) ** 2)))
-        print(f"{where}: {inside:.2%} off inside, {beyond:.2f} times the plant beyond")
-        assert inside < 0.02
-        assert beyond < 1.0
+    memory, disk = (sizes(found_in(each), plant) for each in (record, LongRecord(path)))
+    print(f"memory and disk: {memory[0]:.2%} and {disk[0]:.2%} off inside, {memory[1]:.3f} and {disk[1]:.3f} beyond")
+    assert disk == pytest.approx(memory, rel=0.02)
 
 
 def test_without_noise_the_plant_is_found_as_before():

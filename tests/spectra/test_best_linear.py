@@ -25,8 +25,13 @@ def db(x):
     return 10 * np.log10(x)
 
 
+@pytest.mark.draws(false_alarm=1e-2)  # of the last comparison; nothing else came near its limit in sixty draws
 def test_hysteresis_and_noise_are_told_apart(seed):
-    """Truth by simulation: noise off leaves distortion alone, hysteresis off leaves noise alone."""
+    """Truth by simulation: noise off leaves distortion alone, hysteresis off leaves noise alone.
+
+    The median line of one realisation lies below that of the mean of six, as a median of few degrees of freedom does:
+    by 0.76 dB in the mean of 54 draws, which scatter by 0.93 dB; beyond 3 dB lie 0.8 % of such.
+    """
     both, quiet, straight = (
         uq.bench.Hexapod(unit="ground", seed=seed, hysteresis=h, noise=n, quantise=n, saturate=False)
         for h, n in ((True, True), (True, False), (False, True))
