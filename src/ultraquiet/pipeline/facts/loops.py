@@ -124,8 +124,8 @@ class ToneLevels:
 class ToneFacts:
     """One tone on the bench: the worst channel, every channel, the worst direction, and `levels` with their units.
 
-    `open_v`, `closed_v`, `floor_v` and `paper_db` are older names of what is in `levels`, whatever the unit is. `settled`:
-    whether its amplitude stood still while it was measured.
+    `open_v`, `closed_v`, `floor_v` and `paper_db` are older names of what is in `levels`, whatever the unit is.
+    `settled`: whether its amplitude stood still while it was measured.
     """
 
     reduction_db: float
