@@ -96,5 +96,5 @@ def test_weak_directions_of_a_wide_plant_are_heard(rng):
 def test_where_nothing_is_heard_a_range_is_asked_for(rng):
     bench = Wrapped(lambda u, d: 1e3 * rng.standard_normal(1) + u + d, lambda: None, 200.0, ["coil"], ["gap"])
     law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.1]], 200.0)
-    with pytest.raises(UnheardError, match="give every actuator and sensor its low and high"):
+    with pytest.raises(UnheardError, match="give each channel its low and high"):
         uq.simulate.measure_sensitivity(bench, law)

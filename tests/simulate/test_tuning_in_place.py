@@ -19,6 +19,11 @@ from ultraquiet.pipeline.study import packaged_study
 from ultraquiet.simulate import Campaign, Tuning, commission, tune_in_place
 
 IN_PLACE_HZ, HEARD = (10.0, 100.0), Rational(zeros_at_dc=1)
+# what a record with hysteresis in it has wrong of its own unit comes on top of these, most from 500 Hz on
+OWN_PEAK_DB = (
+    [4.0, 5.5, 8.5, 11.0, 108.0, 114.0, 150.0, 180.0, 350.0, 550.0],
+    [5.2, 3.0, 1.5, 5.2, 5.2, 4.7, 4.7, 5.45, 5.45, 4.9],
+)
 
 
 @dataclass(frozen=True)
@@ -98,10 +103,7 @@ def test_the_quiet_law_is_tuned_in_place_on_ten_drawn_benches(seed):
     law = general.design([ground.model, flight.model]).controller
     # what a record leaves open of its own unit, in place of what tolerances do; the mounts' modes, whose loop hangs on
     # how loud they are, are spared as the study spares them
-    f_hz, levels_db = general.peak_db
-    own = replace(
-        general, draws=0, gain_spread=0.03, mode_spread=0.01, peak_db=(f_hz, [min(each, 5.2) for each in levels_db])
-    )
+    own = replace(general, draws=0, gain_spread=0.03, mode_spread=0.01, peak_db=OWN_PEAK_DB)
     short = []
     for k in range(10):
         unit = ("ground", "flight")[k % 2]

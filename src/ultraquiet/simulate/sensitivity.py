@@ -362,14 +362,10 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
     if not f.size:
         advice = "raise the sensors' gain or lower their noise"
         if not np.isfinite([*ranges(bench.actuators), *ranges(bench.sensors)]).all():
-            advice = (
-                f"give every actuator and sensor its low and high: without a range readings are kept to {LOUD:g} times "
-                "their noise, and where no actuator has one none is driven by more than 1"
-            )
+            advice = f"give each channel its low and high: without them readings are kept to {LOUD:g} times their noise"
         raise UnheardError(f"measure_sensitivity: noise hides every line; {advice}.")
     ny, nu = len(bench.sensors), len(bench.actuators)
-    reach = f"{counted(nu, 'actuator reaches', 'actuators reach')} {nu} of {ny} directions of the sensors; "
-    reach += "in the others no law does anything."
+    reached = counted(nu, "actuator reaches", "actuators reach")
     seconds = ", ".join(f"{band.sweep.samples / bench.rate_hz:g}" for band in opened.bands)
     text = f"disturbance to sensors, sweeps of {seconds} s"
     opened_y, closed_y = (
@@ -381,7 +377,7 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
         opened_y,
         closed_y,
         deviation,
-        reach if nu < ny else "",
+        f"{reached} {nu} of {ny} directions of the sensors; in the others no law does anything." if nu < ny else "",
         rings=any(part.rings for part in parts),
     )
 

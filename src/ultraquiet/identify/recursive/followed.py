@@ -33,19 +33,19 @@ class Followed:
     steps_cut_short: int
 
 
-class Levels(NamedTuple):
+class LevelsOfSignals(NamedTuple):
     """Constants about which inputs `(nu, 1)` and one output move."""
 
     inputs: FloatArray
     output: float
 
     @classmethod
-    def of(cls, piece: Record, output: int) -> "Levels":
+    def of(cls, piece: Record, output: int) -> "LevelsOfSignals":
         """Return the means of a record's beginning."""
         return cls(piece.inputs.mean(axis=1, keepdims=True), float(piece.outputs[output].mean()))
 
     @classmethod
-    def none(cls, inputs: int) -> "Levels":
+    def none(cls, inputs: int) -> "LevelsOfSignals":
         """Return nothing to leave out."""
         return cls(np.zeros((inputs, 1)), 0.0)
 

@@ -20,7 +20,7 @@ from ultraquiet.identify.prediction_error.order_choice import told, unasked
 from ultraquiet.identify.prediction_error.settings import HIGHEST_ORDER, NOT_ASKED
 from ultraquiet.identify.recursive.beginning import LONGEST, constant_at_output
 from ultraquiet.identify.recursive.estimator import Recursion
-from ultraquiet.identify.recursive.followed import Followed, Levels, blocks_of, starting_piece, with_evidence
+from ultraquiet.identify.recursive.followed import Followed, LevelsOfSignals, blocks_of, starting_piece, with_evidence
 from ultraquiet.identify.recursive.settings import FORGETTING, RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.result import Result, worst
@@ -157,7 +157,7 @@ class RecursiveMethod:
     def _follow(self, record: Record | LongRecord, output: int, piece: Record) -> "Followed":
         """Follow one output through the record."""
         start, constant, start_samples = None, 0.0, 0
-        about = Levels.of(piece, output) if self.offset else Levels.none(len(record.actuators))
+        about = LevelsOfSignals.of(piece, output) if self.offset else LevelsOfSignals.none(len(record.actuators))
         if self.start_samples:
             start = self.batch().fit(ChannelData.of(piece, output), record.rate_hz).model
             u, y = about.left(piece.inputs, piece.outputs[output])

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ultraquiet._base.constraints import ComplexArray
 from ultraquiet.linalg import vector_fitting
 from ultraquiet.linalg.modes import rank_elimination, rank_one
 
@@ -12,6 +13,7 @@ ROUGH_STEPS, FINE_STEPS = 8, 20  # of the search for directions and poles: to co
 REACH = 2.0  # error in units of the goal, from which the search for poles and directions may still lead back
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
 TOGETHER = 0.1  # share of the modes that is tried to leave at once
+UNTOLD = 0.02  # radians by which damping moves the phase at the nearest line, below which no line tells it
 FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
 
 
@@ -69,9 +71,38 @@ def _nearly(missed: list[Trial], task: Thinning) -> Trial | None:
     return None if found is None else _thinned(found, eased)
 
 
-def settled(modes: rank_one.RankOneModes, samples: rank_one.Samples) -> rank_one.RankOneModes:
-    """Return the modes fitted once more, to all lines: those that chose them tell of their poles too."""
-    return rank_one.refined(modes, samples, FINE_STEPS)
+def settled(modes: rank_one.RankOneModes, samples: rank_one.Samples, spare: float) -> rank_one.RankOneModes:
+    """Return the modes fitted once more, to all lines: those that chose them tell of their poles too.
+
+    A search that ends on the circle has left a mode so sharp that no line tells its damping: it stands between two
+    lines for what neither asks for, and a loop that is closed on it may be unstable by it. Such a mode leaves, and the
+    others are fitted without it, where the lines are met as well to what precision is not worth a state.
+    """
+    found = rank_one.refined(modes, samples, FINE_STEPS)
+    wanted: list[complex] = []
+    while True:
+        untold = [k for k in _untold(found, samples) if complex(found.poles[k]) not in wanted]
+        if not untold:
+            return found
+        others = found.only(np.setdiff1d(found.heads(), untold[:1]))
+        fewer = rank_one.refined(others, samples, FINE_STEPS)
+        if samples.error(fewer) <= np.hypot(samples.error(found), spare):
+            found = fewer
+        else:
+            wanted.append(complex(found.poles[untold[0]]))
+
+
+def _untold(modes: rank_one.RankOneModes, samples: rank_one.Samples) -> np.ndarray:
+    """Return the modes whose half-width is next to nothing beside how far the nearest line is, the sharpest first.
+
+    With a line at distance d a half-width s moves the phase of 1 / (z - p) there by s / d.
+    """
+    heads = modes.heads()
+    decay: ComplexArray = -np.log(modes.poles[heads])
+    distance = np.abs(np.angle(samples.z)[:, None] + decay.imag).min(axis=0)
+    share = decay.real / np.maximum(distance, np.finfo(float).tiny)
+    order = np.argsort(share, kind="stable")
+    return heads[order[share[order] < UNTOLD]]
 
 
 def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int, list[rank_one.RankOneModes]]:

@@ -189,7 +189,7 @@ class Rational(SearchedOrder):
         error = fits[chosen].error, errors_by_order[chosen]
         lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth))
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
-            model = _assembled(self, _blocks(settled(lean.modes, whole)), rate_hz, response)
+            model = _assembled(self, _blocks(settled(lean.modes, whole, worth)), rate_hz, response)
             error = lean.error, lean.held_out
         poles = {n: fit.poles for n, fit in fits.items()}
         return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order, poles)

@@ -35,12 +35,17 @@ class Injection:
         """Return `count` lines or fewer, evenly over the logarithm of a band, in a period of `seconds`."""
         n = round(seconds * rate_hz)
         wanted = np.geomspace(band_hz[0] * n / rate_hz, band_hz[1] * n / rate_hz, count)
-        lines = np.unique(np.clip(np.rint(wanted), 1, (n - 1) // 2)).astype(np.int64)
-        phase = -np.pi * np.arange(lines.size) * (np.arange(lines.size) - 1) / lines.size
-        spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
-        spectrum[lines] = np.exp(1j * phase)
-        signal = np.fft.irfft(spectrum, n)
-        return cls(lines * rate_hz / n, lines, signal / np.abs(signal).max())
+        return cls.at(np.unique(np.clip(np.rint(wanted), 1, (n - 1) // 2)), n, rate_hz)
+
+    @classmethod
+    def at(cls, lines: FloatArray, samples: int, rate_hz: float) -> "Injection":
+        """Return these lines, rising whole numbers, of a period of so many samples."""
+        whole = np.rint(lines).astype(np.int64)
+        phase = -np.pi * np.arange(whole.size) * (np.arange(whole.size) - 1) / whole.size
+        spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
+        spectrum[whole] = np.exp(1j * phase)
+        signal = np.fft.irfft(spectrum, samples)
+        return cls(whole * rate_hz / samples, whole, signal / np.abs(signal).max())
 
     @classmethod
     def passes(

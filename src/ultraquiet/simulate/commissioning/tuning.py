@@ -13,6 +13,7 @@ from ultraquiet.bench import Bench
 from ultraquiet.design import DesignResult
 from ultraquiet.identify import Rational
 from ultraquiet.simulate.commissioning.injection import Injection, MeasuredResponse, measured_response, open_levels
+from ultraquiet.simulate.commissioning.stretches import blended, stretches
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.status import Status
 
@@ -87,19 +88,19 @@ def tune_in_place(
     first = max(1.0 / positive(WHO, "seconds", seconds, "s"), low / BELOW)
     top = TOP_SHARE * rate / 2
     edges = sorted({first, *(f for f in (FAR_BELOW * low, 2 * low, high) if first < f < top), top})
-    apart = 1 if edges[1] == FAR_BELOW * low else 0
+    far = int(edges[1] == FAR_BELOW * low)
+    periods = [LONGER * seconds] * far + [seconds] * (len(edges) - 1 - far)
     method = _begun(design, law)
     spent: dict[str, float] = {}
     with task("tuning in place", 3) as progress:
         clock = time.process_time()
-        far = Injection.passes(edges[: apart + 1], LONGER * seconds, rate, PER_OCTAVE)
-        passes = [*far, *Injection.passes(edges[apart:], seconds, rate, PER_OCTAVE)]
+        passes = stretches(edges, periods, (PER_OCTAVE[:far] + PER_OCTAVE)[: len(periods)], rate)
         most = np.array([min(abs(c.low), abs(c.high)) for c in bench.actuators])
         levels = np.where(np.isfinite(most) & (most > 0), COMMAND_SHARE * most, 1.0)
         parts = [_recorded(bench, each, levels, settle) for each in passes]
         clock = _spent(spent, "record", clock)
         progress.advance(note="recorded")
-        fit = (identify or Rational()).identify_response(_joined(parts, bench), rate)
+        fit = (identify or Rational()).identify_response(_joined(parts, max(periods), bench), rate)
         clock = _spent(spent, "identify", clock)
         progress.advance(note=str(fit.status))
         found = method.design(_named(fit.model, bench))
@@ -122,14 +123,12 @@ def _recorded(bench: Bench, injection: Injection, most: FloatArray, settle: int)
     return measured_response(bench, injection, levels, settle)
 
 
-def _joined(parts: list[MeasuredResponse], bench: Bench) -> FrequencyResponse:
-    f = np.concatenate([part.f_hz for part in parts])
-    _, order = np.unique(f, return_index=True)
-    G, variance = (np.concatenate([getattr(p, name) for p in parts], axis=2) for name in ("G", "variance"))
+def _joined(parts: list[MeasuredResponse], longest_s: float, bench: Bench) -> FrequencyResponse:
+    f, G, variance = blended(parts, longest_s)
     return FrequencyResponse(
-        f[order],
-        G[:, :, order],
-        variance=variance[:, :, order],
+        f,
+        G,
+        variance=variance,
         estimator=f"sines at one actuator after the other, {NOISE_PERIODS} periods",
         actuators=bench.actuators,
         sensors=bench.sensors,
