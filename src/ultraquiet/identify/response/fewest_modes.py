@@ -82,7 +82,7 @@ def settled(modes: rank_one.RankOneModes, samples: rank_one.Samples, spare: floa
     wanted: list[complex] = []
     while True:
         untold = [k for k in _untold(found, samples) if complex(found.poles[k]) not in wanted]
-        if not untold:
+        if not untold or len(found.heads()) == 1:
             return found
         others = found.only(np.setdiff1d(found.heads(), untold[:1]))
         fewer = rank_one.refined(others, samples, FINE_STEPS)

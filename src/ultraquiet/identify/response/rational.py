@@ -14,6 +14,7 @@ from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.data import told_by_lines
 from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
+from ultraquiet.identify.response.resolution import blurred
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
@@ -129,13 +130,16 @@ class Rational(SearchedOrder):
     def identify(self, record: Record) -> Result:
         """Estimate the H1 response of a record and fit it; fit periodic ones by `identify_response` instead."""
         usable("Rational", record, (self.given_order or max(ORDERS)) * (len(record.actuators) + 1), 64)
-        fitted = self.identify_response(frf(record), record.rate_hz)
+        response = frf(record)
+        fitted = self.identify_response(response, record.rate_hz)
         simulated = fitted.model.simulate(record.inputs)
         simulated = simulated + unknown_past(fitted.model.A, fitted.model.C, record.outputs - simulated)
         residual = record.outputs - simulated
         fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
         span = portmanteau.slowest_period(fitted.model.poles())
-        statuses = [_simulated(fitted.status, p, e, record.inputs, span) for p, e in zip(fits, residual, strict=True)]
+        blur = blurred(fitted.model, response)
+        status = fitted.status if blur is None else blur
+        statuses = [_simulated(status, p, e, record.inputs, span) for p, e in zip(fits, residual, strict=True)]
         ny, numbers = len(record.sensors), chance.numbers_of(fitted.model.states, len(record.actuators))
         statuses = [
             chance.unless_silent(status, chance.explained(y, e), y.size, numbers)
