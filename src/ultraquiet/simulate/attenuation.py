@@ -144,6 +144,8 @@ def _settled_runs(
         samples *= LONGER
         try:
             runs = both(samples, 0)
+        except InputError:  # one that is too long for the bench is refused beforehand
+            break
         except InterlockError as error:
             if error.of_time:
                 break
