@@ -129,3 +129,24 @@ def test_elimination_comes_past_the_truth(rng, ny, nu):
     assert len(modes.heads()) == 5 * min(ny, nu)
     least = min(m.poles.size for m in [modes, *rank_elimination.eliminated(modes, samples)] if samples.error(m) < 2e-3)
     assert least == truth.poles.size
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (3, 2), (2, 2)])
+def test_poles_that_are_the_same_have_one_residue(rng, ny, nu):
+    modes = drawn(rng, ny, nu, 2, 2)
+    poles = np.concatenate([modes.poles, modes.poles[-1:], modes.poles[-1:]])
+    residues = np.einsum("ik,kj->ijk", modes.c, modes.b)
+    parts = np.concatenate([residues, residues[:, :, -1:], -residues[:, :, -1:]], axis=2)
+    samples = rank_one.Samples(Z, modes.response(Z), np.ones(Z.size))
+    every = rank_elimination.all_directions(poles, parts)
+    print(f"{len(every.heads())} modes of {poles.size} poles, error {samples.error(every):.1e}")
+    assert samples.error(every) < 1e-12
+    assert len(every.heads()) == 4 * min(ny, nu)
+    heads = modes.heads()
+    # more modes of one pole than it has directions: the others are nothing, and leave first
+    many = rank_one.of(*(np.concatenate([x] * 3, axis=axis) for x, axis in (
+        (modes.poles[heads], 0), (modes.c[:, heads] / 3, 1), (modes.b[heads], 0)
+    )))  # fmt: skip
+    assert sorted(rank_elimination.faintest(many, samples)) == list(range(3 * heads.size))
+    kept = [fewer for fewer in rank_elimination.eliminated(many, samples) if len(fewer.heads()) >= heads.size]
+    assert all(samples.error(fewer) < 1e-6 for fewer in kept)

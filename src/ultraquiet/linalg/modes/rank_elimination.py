@@ -14,14 +14,23 @@ RIDGE = 1e-13
 
 
 def all_directions(poles: ComplexArray, residues: ComplexArray) -> rank_one.RankOneModes:
-    """Return modes of rank one for every direction of residues `(ny, nu, poles)`, poles with their conjugates."""
+    """Return modes of rank one for every direction of residues `(ny, nu, poles)`, poles with their conjugates.
+
+    Poles that a bound has made one have one residue, the sum of theirs.
+    """
     heads = np.flatnonzero(poles.imag >= 0)
-    U, s, Vh = np.linalg.svd(np.moveaxis(residues, 2, 0)[heads], full_matrices=False)
+    _, first, where = np.unique(poles[heads], return_index=True, return_inverse=True)
+    summed = np.zeros((heads.size, *residues.shape[:2]), dtype=np.complex128)
+    np.add.at(summed, first[where], np.moveaxis(residues, 2, 0)[heads])
+    first = np.sort(first)
+    U, s, Vh = np.linalg.svd(summed[first], full_matrices=False)
     root = np.sqrt(s)
     c, b = U * root[:, None], Vh * root[:, :, None]
     directions = s.shape[1]
     return rank_one.of(
-        np.repeat(poles[heads], directions), np.moveaxis(c, 1, 0).reshape(c.shape[1], -1), b.reshape(-1, b.shape[2])
+        np.repeat(poles[heads[first]], directions),
+        np.moveaxis(c, 1, 0).reshape(c.shape[1], -1),
+        b.reshape(-1, b.shape[2]),
     )
 
 
@@ -103,7 +112,10 @@ def _singles(x: FloatArray, inverse: FloatArray, u: int) -> FloatArray:
 
 
 def _orthogonal(modes: rank_one.RankOneModes) -> rank_one.RankOneModes:
-    """Return the modes of each pole in orthogonal directions: side by side, each would pass for the other."""
+    """Return the modes of each pole in orthogonal directions: side by side, each would pass for the other.
+
+    Of more modes than there are directions those beyond are nothing.
+    """
     heads = modes.heads()
     _, where = np.unique(modes.poles[heads], return_inverse=True)
     c, b = modes.c[:, heads].copy(), modes.b[heads].copy()
@@ -111,5 +123,7 @@ def _orthogonal(modes: rank_one.RankOneModes) -> rank_one.RankOneModes:
         of_pole = np.flatnonzero(where == pole)
         U, s, Vh = np.linalg.svd(c[:, of_pole] @ b[of_pole], full_matrices=False)
         root = np.sqrt(s[: of_pole.size])
-        c[:, of_pole], b[of_pole] = U[:, : of_pole.size] * root, root[:, None] * Vh[: of_pole.size]
+        kept = of_pole[: root.size]
+        c[:, of_pole], b[of_pole] = 0.0, 0.0
+        c[:, kept], b[kept] = U[:, : kept.size] * root, root[:, None] * Vh[: kept.size]
     return rank_one.of(modes.poles[heads], c, b)
