@@ -120,9 +120,11 @@ class _Tried:
             # of laws that do nothing the first: which is the quietest of them, rounding would say
             if quietest is None or loop.quieter > quietest.quieter + NOTHING_DB:
                 quietest = loop
+            if loop.quieter >= LITTLE_DB:
+                return loop, passed
             idle = idle + 1 if abs(loop.quieter) < NOTHING_DB else 0
-            if loop.quieter >= LITTLE_DB or idle == IDLE:
-                return (loop if loop.quieter >= LITTLE_DB else quietest), passed
+            if idle == IDLE:
+                break
         return quietest, passed
 
     def _kept(self, g: float) -> _Loop | None:

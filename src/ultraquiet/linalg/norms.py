@@ -234,9 +234,7 @@ def _narrowed(at: _Known, places: Array, rounds: int = NARROWINGS, points: int =
         k = int(np.argmax(gains))
         top, x = (float(gains[k]), float(w[k])) if gains[k] > top else (top, x)
         low, high = max(k - 1, 0), min(k + 1, w.size - 1)
-        if min(gains[low], gains[high]) >= gains[k] * (
-            1 - LEVEL
-        ):  # what is left to find is no longer part of the accuracy
+        if min(gains[low], gains[high]) >= gains[k] * (1 - LEVEL):  # what is left to find is beyond the accuracy
             break
         places = np.linspace(w[low], w[high], points)
     return top, x
@@ -283,9 +281,8 @@ def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
     if not discrete and np.any(D != 0):
         return np.inf
     d = even_scale(A, B, C)
-    form = modal(
-        A * d / d[:, None], B / d[:, None], C * d
-    )  # even blocks: a lightly damped mode beside a large coupling would lose its digits
+    # even blocks: a lightly damped mode beside a large coupling would lose its digits
+    form = modal(A * d / d[:, None], B / d[:, None], C * d)
     B = form.B
     Q = (stein if discrete else lyapunov)(form.A.T, form.C.T @ form.C)
     total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)

@@ -83,12 +83,14 @@ class LoopMeasured:
 
     def remarks(self) -> Iterator[str]:
         """Yield a sentence for every tone of which a sensor shows no more than its range, or that had not settled."""
-        for f, names in zip(self.tones.tones_hz, self.tones.cut, strict=True) if self.tones is not None else ():
+        t = self.tones
+        if t is None:
+            return
+        for f, names, settled, run in zip(t.tones_hz, t.cut, t.settled, t.closed, strict=True):
             if names:
                 who = ", ".join(f"'{name}'" for name in names)
                 stood = several_of(len(names), "stands", "stand")
                 yield f"at {f:g} Hz {who} {stood} at an end of the range, which cuts the tone off; lower --amplitude"
-        for f, settled, run in zip(t.tones_hz, t.settled, t.closed, strict=True) if (t := self.tones) else ():
             if not settled:
                 yield f"at {f:g} Hz the tone was still changing after {run.duration_s:.3g} s; a longer --duration waits"
 

@@ -19,6 +19,13 @@ NEAR = 9  # lines that share an estimate of noise
 PER_OCTAVE, MANY = 16, 8  # lines of an injection, and of one stretch at least
 
 
+def lines_over(band_hz: tuple[float, float], per_octave: int, samples: int, rate_hz: float) -> FloatArray:
+    """Return lines of a period of so many samples, evenly over the logarithm of a band."""
+    count = max(MANY, round(per_octave * np.log2(band_hz[1] / band_hz[0])))
+    wanted = np.geomspace(band_hz[0] * samples / rate_hz, band_hz[1] * samples / rate_hz, count)
+    return np.unique(np.clip(np.rint(wanted), 1, (samples - 1) // 2))
+
+
 @dataclass(frozen=True, eq=False)
 class Injection:
     """The same period of sines for every actuator in turn: `lines` of the period, at `f_hz`, and its signal of peak 1.
@@ -31,13 +38,6 @@ class Injection:
     period: FloatArray
 
     @classmethod
-    def of(cls, band_hz: tuple[float, float], count: int, seconds: float, rate_hz: float) -> "Injection":
-        """Return `count` lines or fewer, evenly over the logarithm of a band, in a period of `seconds`."""
-        n = round(seconds * rate_hz)
-        wanted = np.geomspace(band_hz[0] * n / rate_hz, band_hz[1] * n / rate_hz, count)
-        return cls.at(np.unique(np.clip(np.rint(wanted), 1, (n - 1) // 2)), n, rate_hz)
-
-    @classmethod
     def at(cls, lines: FloatArray, samples: int, rate_hz: float) -> "Injection":
         """Return these lines, rising whole numbers, of a period of so many samples."""
         whole = np.rint(lines).astype(np.int64)
@@ -48,15 +48,11 @@ class Injection:
         return cls(whole * rate_hz / samples, whole, signal / np.abs(signal).max())
 
     @classmethod
-    def passes(
-        cls, edges_hz: Sequence[float], seconds: float, rate_hz: float, per_octave: Sequence[int] = ()
-    ) -> "list[Injection]":
+    def passes(cls, edges_hz: Sequence[float], seconds: float, rate_hz: float) -> "list[Injection]":
         """Return an injection for each stretch between edges: what is loud in one must not quieten the rest."""
-        many = [
-            cls.of(band, max(MANY, round(density * np.log2(band[1] / band[0]))), seconds, rate_hz)
-            for band, density in zip(pairwise(edges_hz), (*per_octave, *[PER_OCTAVE] * len(edges_hz)), strict=False)
-        ]
-        return [each for each in many if each.lines.size]
+        n = round(seconds * rate_hz)
+        found = [lines_over(band, PER_OCTAVE, n, rate_hz) for band in pairwise(edges_hz)]
+        return [cls.at(lines, n, rate_hz) for lines in found if lines.size]
 
     def run(self, settle: int) -> FloatArray:
         """Return the signal of a run: `settle` samples, then the periods that are measured."""

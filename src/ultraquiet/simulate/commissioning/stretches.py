@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.commissioning.injection import MANY, Injection, MeasuredResponse
+from ultraquiet.simulate.commissioning.injection import Injection, MeasuredResponse, lines_over
 
 OVERLAP = 1.3  # about an edge both stretches are heard, from so many times below to so many times above
 
@@ -24,7 +24,7 @@ def stretches(
     """
     shared = round(min(seconds) * rate_hz)
     common = [
-        _lines((edge / OVERLAP, edge * OVERLAP), max(both), shared, rate_hz)
+        lines_over((edge / OVERLAP, edge * OVERLAP), max(both), shared, rate_hz)
         for edge, both in zip(edges_hz[1:-1], pairwise(per_octave), strict=True)
     ]
     none = np.zeros(0)
@@ -33,19 +33,12 @@ def stretches(
         n = shared * round(period / min(seconds))
         begin = low if k == 0 else low * OVERLAP
         end = high if k == len(common) else high / OVERLAP
-        own = _lines((begin, end), density, n, rate_hz) if begin < end else none
+        own = lines_over((begin, end), density, n, rate_hz) if begin < end else none
         beside = [(n // shared) * (common[j] if 0 <= j < len(common) else none) for j in (k - 1, k)]
         lines = np.unique(np.concatenate([beside[0], own, beside[1]]))
         if lines.size:
             made.append(Injection.at(lines, n, rate_hz))
     return made
-
-
-def _lines(band_hz: tuple[float, float], per_octave: int, samples: int, rate_hz: float) -> FloatArray:
-    """Return lines of a period of so many samples, evenly over the logarithm of a band."""
-    count = max(MANY, round(per_octave * np.log2(band_hz[1] / band_hz[0])))
-    lines = np.rint(np.geomspace(*band_hz, count) * samples / rate_hz)
-    return np.unique(np.clip(lines, 1, (samples - 1) // 2))
 
 
 def blended(parts: Sequence[MeasuredResponse], longest_s: float) -> tuple[FloatArray, ComplexArray, FloatArray]:
