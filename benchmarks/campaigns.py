@@ -1,9 +1,9 @@
 """The packaged study's quiet law on drawn benches: a thousand on the truth, a hundred measured, others tuned in place.
 
 Half of the benches are of each unit, spread 1. Measured ones have hysteresis, noise and limits on. Tuned in place: each
-bench is recorded, identified, and gets a law of its own that begins with the general one; all are judged on the truth,
-some measured. Minutes are those of the clock, on the cores of this machine. ULTRAQUIET_DEMO names the folder of a study
-walked before.
+bench is recorded, identified, and gets a law of its own, every strut another, that begins with the general one; all are
+judged on the truth, some measured. Minutes are those of the clock, on the cores of this machine. ULTRAQUIET_DEMO names
+the folder of a study walked before.
 """
 
 import tempfile
@@ -19,12 +19,13 @@ from benchmarks.law_levels import law as quiet_law
 from benchmarks.quiet_law import BAND_HZ, BENCHES, LAW, UNITS, of_drawn, shares
 from ultraquiet.identify import Rational
 from ultraquiet.pipeline.study import packaged_study
+from ultraquiet.simulate.campaigns import findings
 from ultraquiet.simulate.campaigns.evaluation import Campaign, Row, Tuning
 from ultraquiet.simulate.campaigns.run import run_campaign
 
 MEASURED, IN_PLACE, IN_PLACE_MEASURED = 100, 200, 20
 # what a record leaves open of its own unit, in place of what tolerances do
-OWN = {"draws": 0, "gain_spread": 0.03, "mode_spread": 0.01}
+OWN = {"draws": 0, "gain_spread": 0.03, "mode_spread": 0.01, "structure": "decentralised"}
 # likewise of its peak, over Hz: what a record with hysteresis in it has wrong of its unit comes on top, most above 500
 OWN_PEAK_DB = (
     [4.0, 5.5, 8.5, 11.0, 108.0, 114.0, 150.0, 180.0, 350.0, 550.0],
@@ -66,8 +67,9 @@ def _in_place(design, law: uq.StateSpace, seed: int) -> Iterator[Printed]:
     own = replace(design, **OWN, peak_db=OWN_PEAK_DB)
     tuning = Tuning(own, Rational(zeros_at_dc=1))
     began = time.monotonic()
-    true = _drawn(Campaign(_units(), law, BAND_HZ, first_seed=seed, tuning=tuning), IN_PLACE)
-    heard = _drawn(Campaign(_units(), law, BAND_HZ, on="bench", first_seed=seed, tuning=tuning), IN_PLACE_MEASURED)
+    campaign = Campaign(_units(), law, BAND_HZ, first_seed=seed, tuning=tuning, measured=IN_PLACE_MEASURED)
+    true = _drawn(campaign, IN_PLACE)
+    heard = findings.measured(true)
     minutes = (time.monotonic() - began) / 60
     yield f"{IN_PLACE} tuned in place, {IN_PLACE_MEASURED} measured", f"{minutes:.1f} min", "20 min", minutes <= 20.0
     kept = sum(row["tuned"].startswith("ok") for row in true)

@@ -48,9 +48,12 @@ def study(tmp_path):
 
 @pytest.mark.slow
 def test_a_users_bench_is_drawn_and_one_case_comes_out_again(study, run):
+    (study / "study.toml").write_text(STUDY + "[campaign]\nmeasured = 2\n")
     code, out, err = run("campaign", "study.toml", "--benches", "6", "--workers", "1")
     print(out, err)
     summary = json.loads((study / "study" / "campaign.json").read_text())
+    assert summary["measured"]["benches"] == 2
+    assert "2 measured" in out
     assert code == (0 if summary["stable"] == 6 else 1)
     assert summary["law"] == "calm"
     assert "drawn benches (truth)" in out
@@ -98,3 +101,8 @@ def test_what_cannot_be_drawn_is_refused_with_its_line(study, run):
     code, _, err = run("campaign", "study.toml")
     assert code == 2
     assert "there is no law 'clam' among the controllers calm" in err
+    (study / "study.toml").write_text(STUDY + '[campaign]\non = "bench"\nmeasured = 3\n')
+    code, _, err = run("campaign", "study.toml")
+    assert code == 2
+    assert "line 17: " in err
+    assert 'with on = "bench" every bench is measured; leave' in err

@@ -56,6 +56,20 @@ def test_rows_are_what_algebra_says_and_units_change_nothing():
                 assert one["attenuation_db"] == pytest.approx(other["attenuation_db"], abs=1e-6)
 
 
+def test_some_of_the_cases_are_measured_besides(tmp_path):
+    both = run_campaign(campaign(measured=3), 5, tmp_path / "both.jsonl", workers=1)
+    for row in both[3:]:
+        assert row == campaign().evaluate(row["case"])
+    heard = findings.measured(both)
+    assert [row["case"] for row in heard] == [0, 1, 2]
+    for row in heard:
+        alone = campaign(on="bench").evaluate(row["case"])
+        assert row == {name: value for name, value in alone.items() if not name.startswith("drawn: ")}
+    assert findings.measured(both[3:]) == []
+    with pytest.raises(InputError, match="every case is measured"):
+        campaign(on="bench", measured=1)
+
+
 def test_results_that_were_sealed_stay_and_a_torn_line_is_cut_off(tmp_path):
     whole = plain(run_campaign(campaign(), 9, tmp_path / "a.jsonl", workers=1))
     path = tmp_path / "b.jsonl"

@@ -82,4 +82,9 @@ def _table(facts: "CampaignFacts") -> "TextTable":
         for name, label in (("attenuation_db", "attenuation"), ("peak_db", "peak")):
             share = f"{figures['stable_share']['share']:.1%}"
             grid.add(unit, share, label, *(f"{value:.1f}" for value in figures[name].values()))
+    heard = facts.measured
+    if heard is not None:
+        share = f"{heard.stable / heard.benches:.1%}"
+        for label, spread in (("attenuation", heard.attenuation_db), ("peak", heard.peak_db)):
+            grid.add(f"{heard.benches} measured", share, label, *(f"{value:.1f}" for value in spread.values()))
     return grid

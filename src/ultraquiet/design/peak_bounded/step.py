@@ -1,16 +1,17 @@
 """One step of a search: the bounded changes that lower the greatest of many linearised levels, by a small programme."""
 
-from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.design.peak_bounded.programme import shortest
 
 DB = 20 / np.log(10)
 LEAST = 1e-300
 # LoopLevels of each kind that a step begins with, that a round adds at most, rounds, and what counts as broken.
 BEGUN, ADDED, ROUNDS, BROKEN_DB = 16, 16, 40, 2e-3
+BELOW = 1e-6  # a parameter counts as beneath its least, in units of its size
 
 
 class Linearised(NamedTuple):
@@ -56,7 +57,8 @@ class Held:
     """Which levels a step is asked to keep; steps of one model hand it on, for what held one holds the next.
 
     A gain |z| <= 1 + t is kept by tangents of the circle, Re(z exp(-j angle)) <= 1 + t, at the angles at which it was
-    broken: a programme of straight bounds alone takes a sixth of the time.
+    broken: a programme of straight bounds alone takes a sixth of the time. Of the parameters' least changes those are
+    kept that a step has broken.
     """
 
     def __init__(self, model: Linearised) -> None:
@@ -64,6 +66,7 @@ class Held:
         for kind in (model.sought, ~model.sought):
             at = np.flatnonzero(kind)
             self.rows[at[np.argsort(-model.values[at], kind="stable")[:BEGUN]]] = True
+        self.ends = np.zeros(model.slopes.shape[1], dtype=bool)
         self.gains, self.turned = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.complex128)
         most = np.argsort(-np.abs(model.gains), kind="stable")[:BEGUN]
         self.touch(most, model.gains[most].astype(np.complex128))
@@ -89,9 +92,10 @@ def step(model: Linearised, price: float, damping: float, held: Held | None = No
         z = model.gains + model.turns @ d
         more = _worst(np.where(held.rows, -np.inf, over))
         wide = _worst(DB * (np.abs(z) - 1) - t)
-        if not more.size and not wide.size:
+        beneath = np.zeros(0, dtype=np.intp) if model.least is None else np.flatnonzero(d < model.least - BELOW)
+        if not more.size and not wide.size and not beneath.size:
             break
-        held.rows[more] = True
+        held.rows[more] = held.ends[beneath] = True
         held.touch(wide, z[wide])
     return d, merit(*promised(model, d), price)
 
@@ -104,10 +108,6 @@ def _worst(over: FloatArray) -> np.ndarray:
 
 def _solved(model: Linearised, held: Held, price: float, damping: float) -> tuple[FloatArray, float, float]:
     """Return d, a and t for the levels that are held."""
-    # it ships no types; as a plain module it is what it says
-    clarabel: Any = import_module("clarabel")
-    from scipy import sparse
-
     rows, turned, which = held.rows, held.turned, held.gains
     slopes = model.slopes[rows]
     (m, n), k = slopes.shape, which.size
@@ -118,16 +118,11 @@ def _solved(model: Linearised, held: Held, price: float, damping: float) -> tupl
     A[m, n + 1] = -1.0
     A[m + 1 :, :n] = DB / root * (turned[:, None] * model.turns[which]).real
     A[m + 1 :, n + 1], b[m + 1 :] = -1.0, DB * (1 - (turned * model.gains[which]).real)
-    if model.least is not None:
-        ends = np.flatnonzero(np.isfinite(model.least))
+    if model.least is not None and held.ends.any():
+        ends = np.flatnonzero(held.ends)
         A = np.vstack([A, -np.eye(n + 2)[ends]])
         b = np.concatenate([b, -root * model.least[ends]])
-    P = sparse.diags(np.append(np.ones(n), [0.0, 0.0]), format="csc")
-    linear = np.append(np.zeros(n), [1.0, price])
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    kinds = [clarabel.NonnegativeConeT(len(A))]
-    x = np.array(clarabel.DefaultSolver(P, linear, sparse.csc_matrix(A), b, kinds, settings).solve().x)
+    x = shortest(A, b, np.array([1.0, price]))
     return (x[:n] / root, float(x[n]), float(x[n + 1])) if np.all(np.isfinite(x)) else (np.zeros(n), 0.0, 0.0)
 
 

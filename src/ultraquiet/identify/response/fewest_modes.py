@@ -10,7 +10,7 @@ from ultraquiet.linalg import vector_fitting
 from ultraquiet.linalg.modes import rank_elimination, rank_one
 
 ROUGH_STEPS, FINE_STEPS = 8, 20  # of the search for directions and poles: to compare sets of modes, and at the end
-REACH = 2.0  # error in units of the goal, from which the search for poles and directions may still lead back
+REACH = 8.0  # error in units of the goal, from which the search for poles and directions may still lead back
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
 TOGETHER = 0.1  # share of the modes that is tried to leave at once
 UNTOLD = 0.02  # radians by which damping moves the phase at the nearest line, below which no line tells it
@@ -125,7 +125,9 @@ def _thinned(trial: Trial, task: Thinning) -> Trial:
     while failed < FAILURES and len(trial.modes.heads()) > failed + together:
         heads = trial.modes.heads()
         faint = rank_elimination.faintest(trial.modes, task.fitted)[failed : failed + together]
-        tried = task.tried(trial.modes.only(np.delete(heads, faint)), ROUGH_STEPS)
+        # what those that leave did falls to the others' outputs first: poles that had to make up for it went astray
+        others = rank_one.fitted_outputs(trial.modes.only(np.delete(heads, faint)), task.fitted)
+        tried = task.tried(others, ROUGH_STEPS)
         if tried.held_out <= task.goal:
             trial, failed = tried, 0
         elif together > 1:

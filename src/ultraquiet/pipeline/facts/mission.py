@@ -86,11 +86,21 @@ class WorstCase:
 
 
 @fact
+class MeasuredCases:
+    """How many benches of a campaign were measured besides: stable ones, and the spread of each figure."""
+
+    benches: int
+    stable: int
+    attenuation_db: Mapping[str, float]
+    peak_db: Mapping[str, float]
+
+
+@fact
 class CampaignFacts:
     """`campaign.json`: one law on `benches` drawn ones; least, 5 %, median, 95 % and most of each figure.
 
     `drivers`: figure -> drawn parameter -> Spearman's rank correlation, those beyond chance. `by_unit` holds the share
-    of stable loops and the same spreads for each unit.
+    of stable loops and the same spreads for each unit. `measured` is of those that were also measured.
     """
 
     law: str
@@ -107,6 +117,7 @@ class CampaignFacts:
     drivers: Mapping[str, Mapping[str, float]]
     worst: tuple[WorstCase, ...]
     lines_missing: int = 0
+    measured: MeasuredCases | None = None
     campaign: str
     status: str
 

@@ -13,7 +13,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import counted, in_percent, loudness
 from ultraquiet.files import write_bytes
 from ultraquiet.identify import Rational
-from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, MeasuredCases, WorstCase
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Study
@@ -69,7 +69,8 @@ def defined(study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: Ca
     units = tuple((unit, as_unit(bench, unit)) for unit in plan.units)
     for _, each in units:
         simulate.drawn_bench(each, table.first_seed)
-    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed, _tuning(study, table))
+    tuning = _tuning(study, table)
+    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed, tuning, table.measured)
 
 
 def _tuning(study: Study, table: CampaignTable) -> simulate.Tuning | None:
@@ -124,9 +125,18 @@ def _facts(
         },
         worst=_worst(rows, table.keep, how),
         lines_missing=sum(int(row["lines_missing"]) for row in rows),
+        measured=_measured(rows),
         campaign=campaign.digest,
         status=_status(rows, share, interval),
     )
+
+
+def _measured(rows: Sequence[Row]) -> MeasuredCases | None:
+    heard = findings.measured(rows)
+    if not heard:
+        return None
+    spreads = {figure: findings.spread(heard, figure) for figure in findings.FIGURES}
+    return MeasuredCases(benches=len(heard), stable=sum(bool(row["stable"]) for row in heard), **spreads)
 
 
 def _worst(rows: Sequence[Row], keep: int, how: How) -> tuple[WorstCase, ...]:

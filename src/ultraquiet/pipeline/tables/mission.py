@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from ultraquiet._base.tables import Strict
 from ultraquiet.pipeline.tables.numbers import Band, Flag, Gain, Positive, Seconds, Seed
@@ -62,6 +62,7 @@ class CampaignTable(Strict):
     Args:
         benches: how many; they are drawn from the units of `[closed_loop]` in turn.
         on: "truth", the linear model of a drawn bench where it offers one, or "bench", measured on it.
+        measured: so many of the first benches are measured besides, where the others are judged on their truth.
         law: which of the controllers; that of `[requirements]` when absent, else the first.
         first_seed: case k is drawn by the seed `first_seed` + k.
         keep: how many of the worst cases are named.
@@ -71,10 +72,17 @@ class CampaignTable(Strict):
 
     benches: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 50
     on: Literal["truth", "bench"] = "truth"
+    measured: Annotated[int, Field(ge=0, le=1_000_000, strict=True)] = 0
     law: str | None = None
     first_seed: Seed = 0
     keep: Annotated[int, Field(ge=1, le=100, strict=True)] = 5
     tune: Flag = False
+
+    @model_validator(mode="after")
+    def _measured_once(self) -> "CampaignTable":
+        if self.measured and self.on == "bench":
+            raise ValueError("with on = \"bench\" every bench is measured; leave 'measured' away")
+        return self
 
 
 class CommissionTable(Strict):

@@ -21,6 +21,7 @@ from ultraquiet.values.interconnect import sensitivity
 
 ON = ("truth", "bench")
 DRAWN = "drawn: "  # what the columns of parameters begin with
+MEASURED = "measured_"  # and those of what was measured besides
 EVEN_LINES, BAND_LINES = 240, 60  # over the axis and over the band
 SHARP = 0.15  # damping below which a pole of the loop gets lines of its own, so that no needle stands between lines
 PEAKS, INNER = 6, 7  # looked at more closely, with so many lines to each side
@@ -47,6 +48,7 @@ class Campaign:
         on: "truth", the linear model of the drawn bench (its `linear_model()`), or "bench", measured on it.
         first_seed: case k is drawn by the seed `first_seed` + k.
         tuning: where given, each bench is recorded and gets a law of its own that begins with `law`.
+        measured: so many of the first cases are judged on the truth and measured as well, with the same law.
 
     Raises:
         InputError: no units, a bench without a linear model for "truth", a band that does not rise.
@@ -58,10 +60,13 @@ class Campaign:
     on: str = "truth"
     first_seed: int = 0
     tuning: Tuning | None = None
+    measured: int = 0
 
     def __post_init__(self) -> None:
         one_of(WHO, "on", self.on, ON)
         whole(WHO, "first_seed", self.first_seed, 0)
+        if whole(WHO, "measured", self.measured, 0) and self.on == "bench":
+            raise InputError(f"{WHO}: with on = \"bench\" every case is measured; leave 'measured' away.")
         rising_band(WHO, self.band_hz)
         if not self.units:
             raise InputError(f"{WHO}: give at least one bench.")
@@ -76,7 +81,7 @@ class Campaign:
     def digest(self) -> str:
         """What a result depends on besides the number of its case."""
         benches = [(name, _told(bench)) for name, bench in self.units]
-        how = (list(self.band_hz), self.on, self.first_seed, repr(self.tuning), versions())
+        how = (list(self.band_hz), self.on, self.first_seed, repr(self.tuning), self.measured, versions())
         return content_hash(benches, self.law.hash, *how)[:16]
 
     def bench_of(self, case: int) -> tuple[str, Bench]:
@@ -87,13 +92,16 @@ class Campaign:
     def evaluate(self, case: int) -> Row:
         """Return the row of a case: its number, seed and unit, whether it is stable, figures, status and parameters.
 
-        An unstable loop attenuates by minus infinity and peaks at infinity; so does one of which noise hides all.
+        An unstable loop attenuates by minus infinity and peaks at infinity; so does one of which noise hides all. What
+        is measured besides stands in columns of the same names that begin with `measured_`.
         """
         with one_blas_thread():
             unit, bench = self.bench_of(case)
             row: Row = {"case": case, "seed": self.first_seed + case, "unit": unit}
             law, tuned = self._law_of(bench)
             figures = _on_truth(bench, law, self.band_hz) if self.on == "truth" else self._measured(bench, law)
+            if case < self.measured:
+                figures |= {MEASURED + name: value for name, value in self._measured(bench, law).items()}
             parameters = drawn_parameters(bench)
         return {**row, **figures, **tuned, **{DRAWN + name: value for name, value in parameters.items()}}
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.analyse.monte_carlo import wilson_interval
-from ultraquiet.simulate.campaigns.evaluation import DRAWN, Row
+from ultraquiet.simulate.campaigns.evaluation import DRAWN, MEASURED, Row
 
 FIGURES = {"attenuation_db": True, "peak_db": False}  # whether more is better
 SHARES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -37,6 +37,16 @@ def spread(rows: Sequence[Row], figure: str) -> dict[str, float]:
     values = np.sort([float(row[figure]) for row in rows])
     # a case itself and no mean of two: one of them may be infinite
     return {f"{share:.0%}": float(values[round(share * (values.size - 1))]) for share in SHARES}
+
+
+def measured(rows: Sequence[Row]) -> list[Row]:
+    """Return rows of what was measured besides the truth, the figures under their own names."""
+    known = ("case", "seed", "unit")
+    return [
+        {n.removeprefix(MEASURED): value for n, value in row.items() if n in known or n.startswith(MEASURED)}
+        for row in rows
+        if f"{MEASURED}stable" in row
+    ]
 
 
 def stable_share(rows: Sequence[Row]) -> tuple[float, tuple[float, float]]:
