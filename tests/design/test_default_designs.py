@@ -202,6 +202,7 @@ def test_defaults_that_search_on_twenty_plants(design):
     idle = [f"plant {k}: {db:.2f} dB" for k, (word, db) in enumerate(rows) if word == "ok" and db < LITTLE_DB]
     assert not idle, idle
     assert words.count("ok") >= SHARE_OK * SEARCHED
+    assert (found >= QUIETER_DB).sum() >= SHARE_QUIETER * SEARCHED
 
 
 def _of_even(even, law):

@@ -29,6 +29,7 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 STRUCTURES = (REPEATED, DECENTRALISED, FULL)
+ASKED_STATES, UNASKED_STATES = 8, 12  # with a specification, and without one
 MET = 1.01  # the specification's wish over its bound, for a search to rest
 IDLE = 0.9  # of what no law at all would leave: such a law is worth no more than none
 FURTHER, DRAWN = 2, 6  # ladders and random laws that are tried besides where nothing better was found
@@ -46,8 +47,8 @@ class FixedStructure(StatedRobustness):
     is lowered, by the search of `PeakBounded` and with the peak of a specification's default.
 
     Args:
-        states: of the law of one channel (of the whole law when `full`); without a specification an odd number is taken
-            one lower, for that search moves pairs.
+        states: of the law of one channel (of the whole law when `full`); 8 when absent, and 12 without a specification,
+            where an odd number is taken one lower, for that search moves pairs.
         structure: `repeated` one scalar law used on every channel, `decentralised` a law for each, `full` one law for
             all; `alike` and `apart` are older words for the first two. Absent, `repeated`, and without a specification
             the one that suits the plant: `full` where channels do not move alike, or are not as many at both ends.
@@ -65,7 +66,7 @@ class FixedStructure(StatedRobustness):
     doi:10.3182/20060705-3-FR-2907.00059.
     """
 
-    states: int = 8
+    states: int | None = None
     structure: str | None = None
     specification: Specification | Mapping[str, Any] | None = None
     starts: int = 1
@@ -76,7 +77,8 @@ class FixedStructure(StatedRobustness):
         who = "FixedStructure"
         if self.structure is not None:
             object.__setattr__(self, "structure", structure_word(who, self.structure, STRUCTURES))
-        whole(who, "states", self.states, 0)
+        if self.states is not None:
+            whole(who, "states", self.states, 0)
         whole(who, "starts", self.starts, 1)
         object.__setattr__(self, "specification", specified(self.specification))
 
@@ -110,7 +112,7 @@ class FixedStructure(StatedRobustness):
     def _unasked(self, plant: StateSpace) -> DesignResult:
         """Return the law that lowers the plant's own response."""
         search = PeakBounded(
-            states=self.states - self.states % 2,
+            states=UNASKED_STATES if self.states is None else self.states - self.states % 2,
             structure=self.structure,
             peak_db=Specification.peak_db,
             draws=0,
@@ -122,13 +124,14 @@ class FixedStructure(StatedRobustness):
     def _begin(self, plant: StateSpace, wanted: Specification) -> InitialLaw:
         """Return the structure and the reduced H-infinity design in it."""
         part = plant if self.structure == FULL else common_mode(plant)
+        states = ASKED_STATES if self.states is None else self.states
         full = _of_full_order(wanted.weighted(part), part)
         n = plant.D.shape[0]
         if self.structure == FULL:
-            element, theta = _reduced(full, self.states, plane_of(plant), part.D.shape, wanted)
+            element, theta = _reduced(full, states, plane_of(plant), part.D.shape, wanted)
             return InitialLaw(one_element(element), theta, full)
         # the search is a hundred times quicker on the function that all channels share
-        first = _first_on_part(part, full, self.states, wanted, self.starts, self.seed)
+        first = _first_on_part(part, full, states, wanted, self.starts, self.seed)
         element = first.structure.elements[0]
         if self.structure == DECENTRALISED:
             return InitialLaw(decentralised((element,) * n, n), np.tile(first.theta, n), full)
