@@ -148,3 +148,24 @@ def test_poles_that_are_the_same_have_one_residue(rng, ny, nu):
         (modes.poles[heads], 0), (modes.c[:, heads] / 3, 1), (modes.b[heads], 0)
     )))  # fmt: skip
     assert sorted(rank_elimination.faintest(many, samples)) == list(range(3 * heads.size))
+
+
+@pytest.mark.parametrize("slowest", [0.01, 0.05])
+def test_a_pole_at_its_bound_does_not_hold_the_others(slowest, seed):
+    """The truth has a mode slower than lines tell of, and one stands at that bound; the others are found, from 1 % off.
+
+    Where every step is refused that would take it farther, the others hardly move.
+    """
+    rng = np.random.default_rng(seed)
+    truth = drawn(rng, 3, 2, 3, 1)
+    heads = truth.heads()
+    poles, c, b = truth.poles[heads], truth.c[:, heads], truth.b[heads]
+    poles[-1] = np.exp(-0.3 * slowest)
+    c[:, -1] *= slowest
+    samples = rank_one.Samples(Z, rank_one.of(poles, c, b).response(Z), np.ones(Z.size), 0, slowest)
+    begun = np.array([*np.exp(1.01 * np.log(poles[:3])), np.exp(-0.9990001 * slowest)])
+    found = rank_one.refined(rank_one.of(begun, c, b), samples, 5)
+    before, after = (np.abs(each[:3] / poles[:3] - 1).max() for each in (begun, found.poles))
+    print(f"poles {before:.1e}, then {after:.1e} off; error {samples.error(found):.1e}")
+    assert np.all(np.abs(np.log(found.poles)) >= 0.999 * slowest)
+    assert after < before / 10

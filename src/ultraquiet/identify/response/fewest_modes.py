@@ -42,6 +42,10 @@ class Thinning(NamedTuple):
         """Return the task with a goal that also keeps what a set of modes was seen to reach."""
         return self._replace(goal=min(self.goal, float(np.hypot(best, self.spare))))
 
+    def eased(self) -> "Thinning":
+        """Return the task with a goal that gives up the precision that is not worth a state."""
+        return self._replace(goal=float(np.hypot(self.goal, self.spare)))
+
 
 def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Trial | None:
     """Return modes that meet the goal with as few states as found, or None.
@@ -66,7 +70,7 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
 
 def _nearly(missed: list[Trial], task: Thinning) -> Trial | None:
     """Return the smallest of rising sets of modes that misses the goal by what precision is not worth a state."""
-    eased = task._replace(goal=float(np.hypot(task.goal, task.spare)))
+    eased = task.eased()
     found = next((trial for trial in missed if trial.held_out <= eased.goal), None)
     return None if found is None else _thinned(found, eased)
 
@@ -120,8 +124,12 @@ def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int
 
 
 def _thinned(trial: Trial, task: Thinning) -> Trial:
-    """Take off the faintest modes, several at once and fewer where that is too many, as long as the goal is met."""
-    together, failed = max(1, round(TOGETHER * len(trial.modes.heads()))), 0
+    """Take off the faintest modes, several at once and fewer where that is too many, as long as the goal is met.
+
+    Where the first tenth cannot leave for less than what precision is not worth a state, that is given up for it: so
+    many modes that none is missed have begun to follow noise.
+    """
+    together, failed, begun = max(1, round(TOGETHER * len(trial.modes.heads()))), 0, trial
     while failed < FAILURES and len(trial.modes.heads()) > failed + together:
         heads = trial.modes.heads()
         faint = rank_elimination.faintest(trial.modes, task.fitted)[failed : failed + together]
@@ -130,6 +138,8 @@ def _thinned(trial: Trial, task: Thinning) -> Trial:
         tried = task.tried(others, ROUGH_STEPS)
         if tried.held_out <= task.goal:
             trial, failed = tried, 0
+        elif together > 1 and trial is begun and tried.held_out <= task.eased().goal:
+            task, trial = task.eased(), tried
         elif together > 1:
             together //= 2
         else:

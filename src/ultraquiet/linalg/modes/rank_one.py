@@ -170,21 +170,23 @@ def _stepped(at: FittedModes, equations: ProjectedEquations, damping: float) -> 
     if step is None:
         return None
     u, (p, c, b), (dp, dc, db) = at.modes.upper, at.modes, step
+    # a pole that would leave its bounds, or its half of the plane, stays: one of them must not hold all the others
+    there = p[at.modes.heads()] + dp
+    free = _within(there, at.samples.slowest) & ((np.arange(dp.size) >= u) | (there.imag > 0))
+    dp = np.where(free, dp, 0.0)
     moved = RankOneModes(
         p + np.concatenate([dp[:u], dp[:u].conj(), dp[u:]]),
         c + np.concatenate([dc[:, :u], dc[:, :u].conj(), dc[:, u:]], axis=1),
         b + np.concatenate([db[:u], db[:u].conj(), db[u:]]),
     )
-    if not _admissible(moved, u, at.samples.slowest):
-        return None
-    return FittedModes.of(moved, at.samples)
+    return FittedModes.of(moved, at.samples) if np.all(_within(moved.poles, at.samples.slowest)) else None
 
 
-def _admissible(modes: RankOneModes, upper: int, slowest: float) -> bool:
-    p = modes.poles
-    if modes.upper != upper or np.any(np.abs(p) >= 1.0) or np.any(p == 0.0):
-        return False
-    return bool(np.all(np.abs(np.log(p)) >= 0.999 * slowest))
+def _within(poles: ComplexArray, slowest: float) -> np.ndarray:
+    """Return which poles are inside the circle, not at the origin, and no slower than lines tell."""
+    size = np.abs(poles)
+    inside = (size > 0.0) & (size < 1.0)
+    return inside & (np.abs(np.log(np.where(inside, poles, 1.0))) >= 0.999 * slowest)
 
 
 def functions(poles: ComplexArray, z: ComplexArray) -> ComplexArray:
