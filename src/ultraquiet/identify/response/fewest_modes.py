@@ -52,7 +52,8 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
 
     Every direction of every residue begins as a mode. The faintest leave, poles held, until what is left misses the
     goal by far. Of several fits the one goes on that meets the goal with fewest states by then: from its smallest set
-    upwards all poles and directions are sought together, until one meets the goal, or else nearly does.
+    upwards all poles and directions are sought together, until one meets the goal, or else nearly does. Where not a
+    single mode can leave they follow noise too, and leave for what precision is not worth a state.
     """
     _, sets = min((_eliminated(fit, task) for fit in fits), key=lambda found: found[0])
     missed: list[Trial] = []
@@ -64,7 +65,8 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
         larger = task.tried(sets.pop(), ROUGH_STEPS) if sets else trial
         task = task.tightened(min(trial.held_out, larger.held_out))
         chosen = trial if trial.held_out <= task.goal else larger
-        return _thinned(chosen, task)
+        found = _thinned(chosen, task)
+        return _thinned(chosen, task.eased()) if found is chosen else found
     return _nearly(missed, task)
 
 
@@ -124,12 +126,8 @@ def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int
 
 
 def _thinned(trial: Trial, task: Thinning) -> Trial:
-    """Take off the faintest modes, several at once and fewer where that is too many, as long as the goal is met.
-
-    Where the first tenth cannot leave for less than what precision is not worth a state, that is given up for it: so
-    many modes that none is missed have begun to follow noise.
-    """
-    together, failed, begun = max(1, round(TOGETHER * len(trial.modes.heads()))), 0, trial
+    """Take off the faintest modes, several at once and fewer where that is too many, as long as the goal is met."""
+    together, failed = max(1, round(TOGETHER * len(trial.modes.heads()))), 0
     while failed < FAILURES and len(trial.modes.heads()) > failed + together:
         heads = trial.modes.heads()
         faint = rank_elimination.faintest(trial.modes, task.fitted)[failed : failed + together]
@@ -138,8 +136,6 @@ def _thinned(trial: Trial, task: Thinning) -> Trial:
         tried = task.tried(others, ROUGH_STEPS)
         if tried.held_out <= task.goal:
             trial, failed = tried, 0
-        elif together > 1 and trial is begun and tried.held_out <= task.eased().goal:
-            task, trial = task.eased(), tried
         elif together > 1:
             together //= 2
         else:
