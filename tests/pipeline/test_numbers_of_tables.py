@@ -40,11 +40,12 @@ BAD = {
     "date": "1979-05-27",
     "table": "{ a = 1 }",
 }
-# Zero is a seed, filters may average nothing, and less than nothing may be required.
+# Zero is a seed, filters may average nothing, no bench need be measured, and less than nothing may be required.
 LEGITIMATE = {
     ("seed", "zero"),
     ("first_seed", "zero"),
     ("averages", "zero"),
+    ("measured", "zero"),
     ("tune", "bool"),
     ("counts_plant", "bool"),
 }
