@@ -78,13 +78,7 @@ def _table(facts: "CampaignFacts") -> "TextTable":
     benches = counted(facts.benches, "drawn bench", "drawn benches")
     title = f"{facts.law} on {benches} ({facts.on}), dB; worst direction over {low:g}-{high:g} Hz"
     grid = TextTable(("unit", "stable", "figure", *facts.attenuation_db), title)
-    for unit, figures in facts.by_unit.items():
+    for group, share, figures in facts.groups():
         for name, label in (("attenuation_db", "attenuation"), ("peak_db", "peak")):
-            share = f"{figures['stable_share']['share']:.1%}"
-            grid.add(unit, share, label, *(f"{value:.1f}" for value in figures[name].values()))
-    heard = facts.measured
-    if heard is not None:
-        share = f"{heard.stable / heard.benches:.1%}"
-        for label, spread in (("attenuation", heard.attenuation_db), ("peak", heard.peak_db)):
-            grid.add(f"{heard.benches} measured", share, label, *(f"{value:.1f}" for value in spread.values()))
+            grid.add(group, f"{share:.1%}", label, *(f"{value:.1f}" for value in figures[name].values()))
     return grid

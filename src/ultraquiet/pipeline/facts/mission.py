@@ -1,6 +1,6 @@
 """What was found of what laws are for: the payload, drawn benches, a law as it comes on."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 
 from ultraquiet.pipeline.facts.typed import Vector, fact
@@ -120,6 +120,15 @@ class CampaignFacts:
     measured: MeasuredCases | None = None
     campaign: str
     status: str
+
+    def groups(self) -> Iterator[tuple[str, float, Mapping[str, Mapping[str, float]]]]:
+        """Yield name, share of stable loops and spread of each figure: of every unit, and of what was measured too."""
+        for unit, figures in self.by_unit.items():
+            yield unit, figures["stable_share"]["share"], figures
+        heard = self.measured
+        if heard is not None:
+            spreads = {"attenuation_db": heard.attenuation_db, "peak_db": heard.peak_db}
+            yield f"{heard.benches} measured", heard.stable / heard.benches, spreads
 
 
 @fact

@@ -156,15 +156,10 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     ]
     spread = ("0%", "5%", "50%", "95%", "100%")
     rows: list[list[str]] = []
-    for unit, figures in facts.by_unit.items():
+    for group, stable, figures in facts.groups():
         for figure, label in labels.items():
             values = (figures[figure][share] for share in spread)
-            rows.append([unit, in_percent(figures["stable_share"]["share"], 1), label, *(f"{v:.1f}" for v in values)])
-    if facts.measured is not None:
-        heard, share = facts.measured, facts.measured.stable / facts.measured.benches
-        for figure, label in labels.items():
-            values = (getattr(heard, figure)[share] for share in spread)
-            rows.append([f"{heard.benches} measured", in_percent(share, 1), label, *(f"{v:.1f}" for v in values)])
+            rows.append([group, in_percent(stable, 1), label, *(f"{v:.1f}" for v in values)])
     columns = ("unit", "stable", "figure, dB", "least", "5 %", "median", "95 %", "most")
     tables = [Table("Drawn benches", columns, rows), _worst(facts)]
     figures = {labels[name]: dict(getattr(curves, name)) for name in labels}
