@@ -10,7 +10,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.bench.linear import LinearBench
 from ultraquiet.simulate.open_loop import OPEN_LINES, OpenLoop
-from ultraquiet.simulate.sensitivity import _decides, _may_peak_below
+from ultraquiet.simulate.sensitivity.measure import may_peak_below
 from ultraquiet.testing.problems import RATE_HZ, damped_plant, loop_poles, observer_law
 
 
@@ -237,8 +237,8 @@ def test_noise_in_the_lowest_line_hides_no_peak_below_it(rng):
         noise = 1 + 0.05 * rng.standard_normal(f_hz.size)
         low = noise.copy()
         low[0] = 0.85
-        assert _may_peak_below(f_hz, (rises * low)[None, None])
-        assert not _may_peak_below(f_hz, (falls * noise)[None, None])
+        assert may_peak_below(f_hz, (rises * low)[None, None])
+        assert not may_peak_below(f_hz, (falls * noise)[None, None])
 
 
 def test_passes_do_not_average_away_what_the_open_loop_s_noise_leaves_open(rng):
@@ -258,5 +258,5 @@ def test_passes_do_not_average_away_what_the_open_loop_s_noise_leaves_open(rng):
 def test_a_hidden_line_that_would_be_read_as_the_peak_is_listened_to_again(hidden_size, decides):
     """Its bound, two deviations above what was read, against the peak of 1.8 that is heard."""
     size = np.array([1.0, 1.8, hidden_size])
-    assert _decides(np.array([False, False, True]), size, np.array([0.01, 0.01, 0.15])) is decides
-    assert not _decides(np.zeros(3, dtype=bool), size, np.full(3, 0.01))
+    assert decides(np.array([False, False, True]), size, np.array([0.01, 0.01, 0.15])) is decides
+    assert not decides(np.zeros(3, dtype=bool), size, np.full(3, 0.01))

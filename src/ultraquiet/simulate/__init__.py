@@ -18,7 +18,8 @@ from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.simulate.payload.measure import OpenPayload, PayloadVibration, measure_payload
 from ultraquiet.simulate.payload.reduction import PayloadReduction
 from ultraquiet.simulate.payload.setup import PayloadSetup
-from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
+from ultraquiet.simulate.sensitivity.measure import measure_sensitivity
+from ultraquiet.simulate.sensitivity.measured import MeasuredSensitivity
 from ultraquiet.simulate.stability import LoopCheck, check_stability
 from ultraquiet.simulate.step import StepReduction, step_reduction
 

@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet.analyse.monte_carlo import ATTENUATION, PEAK, UNSTABLE, MonteCarlo, checked_band, collected
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.sensitivity import measure_sensitivity
+from ultraquiet.simulate.sensitivity.measure import measure_sensitivity
 from ultraquiet.simulate.stability import check_stability
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller

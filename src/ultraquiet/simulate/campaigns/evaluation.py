@@ -14,7 +14,7 @@ from ultraquiet.bench import Bench
 from ultraquiet.identify import Rational
 from ultraquiet.simulate.campaigns.drawing import WHO, drawn_bench, drawn_parameters
 from ultraquiet.simulate.commissioning.tuning import tune_in_place
-from ultraquiet.simulate.sensitivity import measure_sensitivity
+from ultraquiet.simulate.sensitivity.measure import measure_sensitivity
 from ultraquiet.simulate.stability import check_stability
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import sensitivity
