@@ -13,7 +13,7 @@ from ultraquiet.bench import Bench
 from ultraquiet.simulate.kick import ranges
 from ultraquiet.simulate.open_loop import LOUD, OpenLoop
 from ultraquiet.simulate.sensitivity.measured import MeasuredSensitivity, size_of
-from ultraquiet.simulate.sensitivity.pair import Pair, Part
+from ultraquiet.simulate.sensitivity.pair import BandLines, LoopPair
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -58,7 +58,7 @@ def measure_sensitivity(
     opened = OpenLoop(bench) if opened is None else opened
     if opened.bench is not bench and opened.bench != bench:
         raise InputError("measure_sensitivity: 'opened' is the open loop of another bench.")
-    pairs = [Pair(band, controller) for band in opened.bands]
+    pairs = [LoopPair(band, controller) for band in opened.bands]
     asked = [None] * len(pairs) if f_hz is None else _asked(opened, f_hz)
     with task("sensitivity on the bench", len(pairs)) as progress:
         parts = []
@@ -69,7 +69,7 @@ def measure_sensitivity(
         while f_hz is None and parts[0].f_hz.size and may_peak_below(*_all_lines(parts)):
             if (below := next(lower, None)) is None:
                 break
-            parts.insert(0, Pair(below, controller).at(None, most_hidden=0.0))
+            parts.insert(0, LoopPair(below, controller).at(None, most_hidden=0.0))
     found = _joined(opened, parts)
     if f_hz is not None:
         return found
@@ -109,7 +109,7 @@ def _unheard(found: MeasuredSensitivity, opened: OpenLoop) -> str:
     return f"The open loop is not heard {' and '.join(parts)}: nothing is known there." if parts else ""
 
 
-def _all_lines(parts: list[Part]) -> tuple[FloatArray, ComplexArray]:
+def _all_lines(parts: list[BandLines]) -> tuple[FloatArray, ComplexArray]:
     """Return the lines of all parts and S there."""
     return np.concatenate([part.f_hz for part in parts]), np.concatenate([part.S for part in parts], axis=2)
 
@@ -124,7 +124,7 @@ def _near_lowest(f_hz: FloatArray, size: FloatArray) -> float:
     return float(size[f_hz <= LOWEST * f_hz[0]].max())
 
 
-def _joined(opened: OpenLoop, parts: list[Part]) -> MeasuredSensitivity:
+def _joined(opened: OpenLoop, parts: list[BandLines]) -> MeasuredSensitivity:
     f, S = _all_lines(parts)
     bench = opened.bench
     if not f.size:

@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.open_loop import LOWER, OpenBand, Runs, inverted, largest, left_open
 from ultraquiet.simulate.sensitivity.measured import DEVIATIONS, RESOLVED, size_of
+from ultraquiet.simulate.sensitivity.neighbours import with_neighbours
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -27,7 +28,7 @@ BEGIN_CLOSED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BandLines:
     """What one band gave: lines in Hz, S, its deviation, both responses."""
 
     f_hz: FloatArray
@@ -38,7 +39,7 @@ class Part:
     rings: bool
 
 
-class Pair:
+class LoopPair:
     """Open and closed loop of one law over one band; passes are averaged, each with the weight that noise leaves it."""
 
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
@@ -52,26 +53,27 @@ class Pair:
         self._S = np.zeros((ny, ny, self._weight.size), dtype=np.complex128)
         self._closed = np.zeros((ny, nu, self._weight.size), dtype=np.complex128)
 
-    def at(self, asked: np.ndarray | None, most_hidden: float = HIDDEN) -> Part:
+    def at(self, asked: np.ndarray | None, most_hidden: float = HIDDEN) -> BandLines:
         """Measure, again and louder where noise hides lines, and return these lines or those that S asks for."""
-        places = np.zeros(0, dtype=int)
-        for _ in range(PASSES):
-            self._measure()
-            places = self._dense() if asked is None else asked
-            size, deviation = size_of(self._S[:, :, places]), self._deviation[places]
-            # no pass resolves a line that the open loop's noise hides by itself
-            hidden = (deviation > RESOLVED * size) & (self._by_open[places] <= RESOLVED * size)
-            few = np.count_nonzero(hidden) <= (0 if asked is not None else most_hidden * places.size)
-            if few and not decides(hidden, size, deviation):
-                break
-        return Part(
-            self.band.sweep.lines_hz[places],
-            self._S[:, :, places],
-            self._deviation[places],
-            self.band.response[:, :, places],
-            self._closed[:, :, places],
-            self._rings or self.band.runs.lines_open > 0,
-        )
+        for _ in range(PASSES - 1):
+            found, hidden = self._once(asked)
+            few = np.count_nonzero(hidden) <= (0 if asked is not None else most_hidden * hidden.size)
+            if few and not decides(hidden, size_of(found.S), found.deviation):
+                return found
+        return self._once(asked)[0]
+
+    def _once(self, asked: np.ndarray | None) -> tuple[BandLines, np.ndarray]:
+        """Measure once more, and return the lines with which of them another pass might resolve."""
+        self._measure()
+        places = self._dense() if asked is None else asked
+        left = np.stack([1 / np.sqrt(self._weight), self._by_open])
+        S, (by_closed, by_open) = with_neighbours(self._S, left, places, self.band.sweep.finer)
+        size, deviation = size_of(S), np.hypot(by_closed, by_open)
+        # no pass resolves a line that the open loop's noise hides by itself
+        hidden = (deviation > RESOLVED * size) & (by_open <= RESOLVED * size)
+        opened, closed = self.band.response[:, :, places], self._closed[:, :, places]
+        rings = self._rings or self.band.runs.lines_open > 0
+        return BandLines(self.band.sweep.lines_hz[places], S, deviation, opened, closed, rings), hidden
 
     @property
     def _deviation(self) -> FloatArray:
