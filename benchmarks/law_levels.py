@@ -31,7 +31,7 @@ from ultraquiet.pipeline.study import packaged_study
 PASSES_HZ = ((3.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 130.0), (130.0, 1700.0))
 ASKED = {0.1: (19.0, 6.5), 0.4: (20.0, 6.0), 0.8: (19.0, 6.5)}
 PERIOD_S, DRAWS, PERIODS, DEVIATIONS = 4.0, 5, 3, 2.0  # 60 s are listened to in each run of a pass
-POWER, HARDEST = 0.25, 10.0  # of how faint a line is, by which it is driven harder, and how much at most
+POWER, HARDEST = 0.5, 10.0  # of how faint a line is, by which it is driven harder, and how much at most
 LEVELLINGS = 3
 BESIDE = 5  # lines over which a variance is smoothed: that of five draws alone is known to a factor of two
 
@@ -83,9 +83,14 @@ def _channels(record: uq.Record) -> Iterator[tuple[np.ndarray, uq.Channel]]:
     yield from zip(record.inputs, record.actuators, strict=True)
 
 
-def shape(bench, lines: np.ndarray, seed: int) -> np.ndarray:
-    """Return sizes of lines, of RMS one together: between even ones and those at which all are heard alike."""
-    heard = listened(bench, None, np.full(lines.size, 1e-2), lines, [seed], 1).mean
+def shape(bench, code, lines: np.ndarray, seed: int) -> np.ndarray:
+    """Return sizes of lines, of RMS one together: between even ones and those at which all are heard alike.
+
+    How faint a line is is listened to half as loud as even ones may be: softer, noise is heard in its place.
+    """
+    even = np.full(lines.size, np.sqrt(2 / lines.size))
+    loud = first_clip(bench, code, even, lines, seed) / 2
+    heard = listened(bench, None, loud * even, lines, [seed], 1).mean
     faint = np.linalg.svd(heard, compute_uv=False)[:, -1]
     sizes = np.minimum((faint.mean() / np.maximum(faint, 1e-300)) ** POWER, HARDEST)
     return sizes * np.sqrt(2) / np.linalg.norm(sizes)
@@ -103,10 +108,10 @@ def sizes(bench, code, band_hz: tuple[float, float], share: float, seed: int) ->
     """Return the lines of a pass in Hz, the largest singular value of S as it is counted, and the worst deviation."""
     f = np.fft.rfftfreq(round(PERIOD_S * bench.rate_hz), 1 / bench.rate_hz)
     lines = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]))
-    even = shape(bench, lines, seed)
-    level = share * first_clip(bench, code, even, lines, seed)
+    shaped = shape(bench, code, lines, seed)
+    level = share * first_clip(bench, code, shaped, lines, seed)
     seeds = [DRAWS * seed + k for k in range(DRAWS)]
-    opened, closed = (listened(bench, each, level * even, lines, seeds, PERIODS) for each in (None, code))
+    opened, closed = (listened(bench, each, level * shaped, lines, seeds, PERIODS) for each in (None, code))
     s, deviation = counted(opened, closed)
     return f[lines], s + DEVIATIONS * deviation, float((deviation / s).max())
 
