@@ -12,6 +12,7 @@ Its largest singular value s = u* S v is counted with two deviations of what noi
 
     var s = sum_ik (|u_i|^2 var Rc_ik + s^2 |v_i|^2 var Ro_ik) |w_k|^2,   w = R_open^-1 v.
 
+Each line is heard with its neighbours as far as noise alone tells them apart, as `measure_sensitivity` does.
 Lines that the plant answers faintly are driven harder. ULTRAQUIET_DEMO names the folder of a study walked before.
 """
 
@@ -27,11 +28,12 @@ from scipy.ndimage import uniform_filter1d
 import ultraquiet as uq
 from benchmarks.quiet_law import BAND_HZ, FOLDER, LAW, UNITS, plants
 from ultraquiet.pipeline.study import packaged_study
+from ultraquiet.simulate.sensitivity.neighbours import with_neighbours
 
 PASSES_HZ = ((3.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 130.0), (130.0, 1700.0))
 ASKED = {0.1: (19.0, 6.5), 0.4: (20.0, 6.0), 0.8: (19.0, 6.5)}
 PERIOD_S, DRAWS, PERIODS, DEVIATIONS = 4.0, 5, 3, 2.0  # 60 s are listened to in each run of a pass
-POWER, HARDEST = 0.5, 10.0  # of how faint a line is, by which it is driven harder, and how much at most
+POWER, HARDEST = 0.75, 10.0  # of how faint a line is, by which it is driven harder, and how much at most
 LEVELLINGS = 3
 BESIDE = 5  # lines over which a variance is smoothed: that of five draws alone is known to a factor of two
 
@@ -119,7 +121,19 @@ def sizes(bench, code, band_hz: tuple[float, float], share: float, seed: int) ->
 def counted(opened: Responses, closed: Responses) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest singular value of S at each line and its deviation, both `(lines,)`."""
     inverse = np.linalg.inv(opened.mean)
-    u, s, vh = np.linalg.svd(closed.mean @ inverse)
+    read = (closed.mean @ inverse).astype(np.complex128)
+    noise = np.sqrt([each.variance.mean(axis=2).sum(axis=1) for each in (closed, opened)])
+    alone = np.linalg.norm(inverse, 2, axis=(1, 2)) * np.hypot(
+        noise[0], np.linalg.norm(read, 2, axis=(1, 2)) * noise[1]
+    )
+    S, (left,) = with_neighbours(np.moveaxis(read, 0, 2), alone[None], np.arange(len(read)), 1)
+    s, deviation = _largest(np.moveaxis(S, 2, 0), inverse, opened, closed)
+    return s, deviation * left / alone
+
+
+def _largest(S, inverse, opened: Responses, closed: Responses) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest singular value of S and what is left open of it by a line alone, both `(lines,)`."""
+    u, s, vh = np.linalg.svd(S)
     left, right = np.abs(u[:, :, 0]) ** 2, np.abs(vh[:, 0]) ** 2
     w = np.abs(inverse @ np.conj(vh[:, 0])[:, :, None])[:, :, 0] ** 2
     variance = np.einsum("li,lik,lk->l", left, closed.variance, w)
