@@ -28,7 +28,7 @@ from scipy.ndimage import uniform_filter1d
 import ultraquiet as uq
 from benchmarks.quiet_law import BAND_HZ, FOLDER, LAW, UNITS, plants
 from ultraquiet.pipeline.study import packaged_study
-from ultraquiet.simulate.sensitivity.neighbours import with_neighbours
+from ultraquiet.simulate.sensitivity.neighbours import LinesOfS
 
 PASSES_HZ = ((3.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 130.0), (130.0, 1700.0))
 ASKED = {0.1: (19.0, 6.5), 0.4: (20.0, 6.0), 0.8: (19.0, 6.5)}
@@ -122,13 +122,15 @@ def counted(opened: Responses, closed: Responses) -> tuple[np.ndarray, np.ndarra
     """Return the largest singular value of S at each line and its deviation, both `(lines,)`."""
     inverse = np.linalg.inv(opened.mean)
     read = (closed.mean @ inverse).astype(np.complex128)
-    noise = np.sqrt([each.variance.mean(axis=2).sum(axis=1) for each in (closed, opened)])
-    alone = np.linalg.norm(inverse, 2, axis=(1, 2)) * np.hypot(
-        noise[0], np.linalg.norm(read, 2, axis=(1, 2)) * noise[1]
-    )
-    S, (left,) = with_neighbours(np.moveaxis(read, 0, 2), alone[None], np.arange(len(read)), 1)
+    weakest, size = (np.linalg.norm(x, 2, axis=(1, 2)) for x in (inverse, read))
+    closed_rows, opened_rows = (np.sqrt(each.variance.mean(axis=2)).T for each in (closed, opened))
+    rows = np.hypot(closed_rows, np.sqrt(np.einsum("lij,jl->il", np.abs(read) ** 2, opened_rows**2)))
+    noise = [weakest * np.linalg.norm(closed_rows, axis=0), weakest * size * np.linalg.norm(opened_rows, axis=0)]
+    alone = np.hypot(*noise)
+    lines = LinesOfS(np.moveaxis(read, 0, 2), np.array(noise), np.zeros(len(read)), rows, opened.mean, stride=1)
+    S, left, _ = lines.with_neighbours(np.arange(len(read)))
     s, deviation = _largest(np.moveaxis(S, 2, 0), inverse, opened, closed)
-    return s, deviation * left / alone
+    return s, deviation * np.hypot(*left) / alone
 
 
 def _largest(S, inverse, opened: Responses, closed: Responses) -> tuple[np.ndarray, np.ndarray]:

@@ -69,9 +69,14 @@ class Runs:
     rounded: FloatArray
 
     @property
+    def is_open(self) -> np.ndarray:
+        """Which spectra of a line are left open, `(ny, k, lines)`."""
+        return np.asarray(self.open > OPEN * np.abs(self.heard))
+
+    @property
     def lines_open(self) -> int:
-        """How many spectra of a line are left open."""
-        return int(np.count_nonzero(self.open > OPEN * np.abs(self.heard)))
+        """How many are."""
+        return int(np.count_nonzero(self.is_open))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +88,12 @@ class OpenBand:
 
     def as_fine_as_it_rings(self) -> "OpenBand":
         """Return this band with lines as close as its runs had to be long: S is as sharp as the open loop rings."""
-        finer = min(2 * self.runs.length, 2 * MOST_LINES // self.sweep.samples)
-        if self.runs.length == 1 or finer <= self.sweep.finer:
+        return self.as_fine_as(self.runs.length)
+
+    def as_fine_as(self, length: int) -> "OpenBand":
+        """Return this band with lines for what rings for runs of a length, itself where they are as close already."""
+        finer = min(2 * length, 2 * MOST_LINES // self.sweep.samples)
+        if length == 1 or finer <= self.sweep.finer:
             return self
         other = OpenBand(self.bench, replace(self.sweep, finer=finer))
         other.__dict__.update({"short": self.short, "shapes": self.shapes})
@@ -180,8 +189,9 @@ class OpenBand:
         most = WAITED if real_time(self.bench) else max(WAITED, LONGEST // self.sweep.samples)
         while runs.lines_open > OPEN_LINES and runs.length < most:
             longer = self.run(law, self.shapes, levels, 1, min(most, 2 * runs.length), quiet)
-            # the median, for near what rings on nothing is known until it is gone
-            if not np.median(longer.open) < LESS * np.median(runs.open):
+            # the median, for near what rings on nothing is known until it is gone; of what was open, for much never was
+            was = runs.is_open
+            if not np.median(longer.open[was]) < LESS * np.median(runs.open[was]):
                 return longer if longer.lines_open < runs.lines_open else runs
             runs = longer
         return runs
@@ -195,7 +205,8 @@ class OpenBand:
     def deviation(self) -> FloatArray:
         """What the open loop's noise leaves open of an S of size one, `(lines,)`, each the median of its neighbours."""
         inverse = inverted(np.moveaxis(self.runs.heard, 2, 0))
-        deviation = largest(inverse) * left_open(self.runs, self.noise)
+        left = np.hypot(np.linalg.norm(noise_rows(self.runs, self.noise), axis=0), still_moving(self.runs))
+        deviation = largest(inverse) * left
         padded = np.pad(deviation, NOISE_LINES, mode="reflect")
         return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NOISE_LINES + 1), axis=1)
 
@@ -354,10 +365,14 @@ def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], .
     return (record.outputs, record.sensors), (record.inputs, record.actuators)
 
 
-def left_open(runs: Runs, noise: FloatArray) -> FloatArray:
-    """Return how far spectra of runs may be off, `(lines,)`: by `noise` of a run, `(ny, lines)`, and what moved yet."""
-    moving = (runs.open**2 + runs.rounded[:, :, None]).max(axis=1)
-    return np.sqrt(np.sum(runs.length * noise**2 + moving, axis=0))
+def noise_rows(runs: Runs, noise: FloatArray) -> FloatArray:
+    """Return the noise in spectra of runs, `(ny, lines)`: `noise` of a run `(ny, lines)`, and what converters round."""
+    return np.sqrt(runs.length * noise**2 + runs.rounded.max(axis=1)[:, None])
+
+
+def still_moving(runs: Runs) -> FloatArray:
+    """Return how far spectra of runs may be off, `(lines,)`, as they still moved when they ended."""
+    return np.sqrt(np.sum(runs.open.max(axis=1) ** 2, axis=0))
 
 
 def over(heard: ComplexArray, sent: ComplexArray) -> ComplexArray:

@@ -39,8 +39,10 @@ def measure_sensitivity(
     body does, the rest of the transform is known and added; what rings on is counted like noise. A run drives one
     right singular vector of the open loop, as loud as ranges allow at each frequency: weak directions stand as far
     above the noise as strong ones. Lines are where S is: closer together between lines that differ by more than 0.5 dB,
-    down to one over the length of a run. A pass is repeated, louder where noise hid a line, four times at most; what
-    noise leaves open in the open loop is the same in all passes and is not averaged away.
+    down to one over the length of a run, or of the longer ones that a loop which rings asked for. A line is heard with
+    its neighbours, as many of them as noise alone tells apart from a smooth S: the largest of many noisy lines would
+    read too much. A pass is repeated, louder where noise hid a line, four times at most; what noise leaves open in the
+    open loop is the same in all passes and is not averaged away.
 
     Args:
         bench: any bench; with fewer sensors than actuators S is full, with more it is that of the reached directions.

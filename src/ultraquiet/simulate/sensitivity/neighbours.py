@@ -1,5 +1,7 @@
 """A line heard together with its neighbours: as many of them as noise alone tells apart from a smooth response."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
@@ -8,60 +10,105 @@ from ultraquiet.simulate.open_loop import largest
 # Lines to either side, in windows one after the other; a parabola through fewer than five leaves noise as it is.
 REACHES = (2, 4, 8, 16)
 OFFSETS = np.arange(-REACHES[-1], REACHES[-1] + 1)
-# Two windows agree when they differ by no more than so many deviations of their difference. The largest singular value
-# of a matrix of noise is up to twice the deviation that one of its columns has; a single number is larger than this
-# once in two hundred times.
-AGREE = 2.3
+# The largest singular value of an n x k matrix of complex noise of size one is sqrt(n) + sqrt(k) in the mean, seldom
+# larger by more than this: of a single number once in eight thousand times. One of all lines is a needle when it is so
+# much larger yet.
+SELDOM, SURELY = 1.0, 1.2
+# A needle that is just within the noise of its line is not seen, and lost in a window: so much of what the line leaves
+# open by itself is left however wide the window.
+UNSEEN = 0.5
 
 
-def with_neighbours(
-    S: ComplexArray, deviations: FloatArray, places: np.ndarray, stride: int
-) -> tuple[ComplexArray, FloatArray]:
-    """Return S at the places, `(ny, ny, places)`, less noisy where it is smooth, and its deviations `(n, places)`.
+@dataclass(frozen=True, eq=False)
+class LinesOfS:
+    """S at all lines of a band, with what is left open of it.
 
-    The value at its middle of the parabola that fits 2 m + 1 lines, m = 2, 4, 8, 16 to either side, is
+    Its error is E R^-1: in a response R of the open loop, `k` runs of it, noise E that is independent from line to
+    line, from run to run and from sensor to sensor.
 
-        S_m(k) = sum_j w_j S(k + j stride),   w_j = (3 (3 m^2 + 3 m - 1) - 15 j^2) / ((2 m - 1) (2 m + 1) (2 m + 3)),
-
-    with the deviation sqrt(sum_j w_j^2 d(k + j stride)^2). A window counts as long as it differs from every narrower
-    one by what noise makes of the difference of their weights; of those that count, the one that noise moves least.
-    Where S bends by more than noise, at a needle, it stays as it was read.
-
-    Args:
+    Attributes:
         S: `(ny, ny, lines)`.
-        deviations: what n independent causes leave open of its largest singular value, `(n, lines)`.
-        places: of the lines that are wanted.
+        noise: what n independent causes leave open of its largest singular value, `(n, lines)`.
+        moving: what runs that had not come to rest leave open of it, `(lines,)`: alike at neighbouring lines.
+        noise_rows: size of E at each sensor, `(ny, lines)`.
+        responses: R, `(lines, ny, k)`.
         stride: lines from one to the next whose noise is independent.
-
-    Reference: Savitzky and Golay, Anal. Chem. 36 (1964) 1627-1639, doi:10.1021/ac60214a047, for the weights; Katkovnik,
-    IEEE Trans. Signal Process. 47 (1999) 2567-2571, doi:10.1109/78.782208, for windows whose intervals meet.
     """
-    beside = [(places + stride * j).clip(0, S.shape[2] - 1) for j in OFFSETS]
-    powers = np.stack([deviations[:, at] ** 2 for at in beside], axis=1)
-    best, left = S[:, :, places], deviations[:, places]
-    narrower = [(best, _alone())]
-    agrees = np.ones(places.size, dtype=bool)
-    for reach in REACHES:
-        agrees &= (places >= reach * stride) & (places < S.shape[2] - reach * stride)
-        if not agrees.any():
-            break
-        weights = _parabola(reach)
-        wider = np.zeros_like(best)
-        for j in np.flatnonzero(weights):
-            wider += weights[j] * S[:, :, beside[j]]
-        for other, its_weights in narrower:
-            noise = np.sqrt(((weights - its_weights) ** 2 @ powers).sum(axis=0))
-            agrees &= largest(np.moveaxis(wider - other, 2, 0)) <= AGREE * noise
-        narrower.append((wider, weights))
-        open_ = np.sqrt(weights**2 @ powers)
-        better = agrees & (np.linalg.norm(open_, axis=0) < np.linalg.norm(left, axis=0))
-        best, left = np.where(better, wider, best), np.where(better, open_, left)
-    return best, left
+
+    S: ComplexArray
+    noise: FloatArray
+    moving: FloatArray
+    noise_rows: FloatArray
+    responses: ComplexArray
+    stride: int
+
+    def with_neighbours(self, places: np.ndarray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+        """Return S at the places, `(ny, ny, places)`, less noisy where it is smooth, its `noise` and its `moving`.
+
+        The value at its middle of the parabola that fits 2 m + 1 lines, m = 2, 4, 8, 16 to either side, is
+
+            S_m(l) = sum_j w_j S(l + j stride),  w_j = (3 (3 m^2 + 3 m - 1) - 15 j^2) / ((2 m - 1) (2 m + 1) (2 m + 3)),
+
+        with noise sqrt(sum_j w_j^2 d(l + j stride)^2); what moves adds up, sum_j |w_j| d(l + j stride). A window counts
+        as long as it differs from every narrower one by what noise makes of the difference of their weights, judged in
+        the units of the noise: ||diag(rows)^-1 (S_m - S_m') R||. So nothing that a quiet sensor or a strong direction
+        shows is lost in the noise of another. Of the windows that count, the one that leaves least open. Where S bends
+        by more than noise, at a needle, it stays as it was read.
+
+        Reference: Savitzky and Golay, Anal. Chem. 36 (1964) 1627-1639, doi:10.1021/ac60214a047, for the weights;
+        Katkovnik, IEEE Trans. Signal Process. 47 (1999) 2567-2571, doi:10.1109/78.782208, for windows whose intervals
+        meet.
+        """
+        beside = [(places + self.stride * j).clip(0, self.S.shape[2] - 1) for j in OFFSETS]
+        powers = np.stack([self.noise[:, at] ** 2 for at in beside], axis=1)
+        moves = np.stack([self.moving[at] for at in beside])
+        needles = self._needles()
+        has_needle = np.stack([needles[at] for at in beside])
+        best, noise, moving = self.S[:, :, places], self.noise[:, places], self.moving[places]
+        alone = np.maximum(powers[:, REACHES[-1]].sum(axis=0), np.finfo(float).tiny)
+        narrower = [(best, (OFFSETS == 0).astype(float))]
+        agrees = np.ones(places.size, dtype=bool)
+        for reach in REACHES:
+            agrees &= (places >= reach * self.stride) & (places < self.S.shape[2] - reach * self.stride)
+            agrees &= ~has_needle[np.abs(OFFSETS) <= reach].any(axis=0)
+            if not agrees.any():
+                break
+            weights = _parabola(reach)
+            wider = np.zeros_like(best)
+            for j in np.flatnonzero(weights):
+                wider += weights[j] * self.S[:, :, beside[j]]
+            for other, its_weights in narrower:
+                share = np.sqrt(((weights - its_weights) ** 2 @ powers).sum(axis=0) / alone)
+                agrees &= self._in_noise(wider - other, places) <= share
+            narrower.append((wider, weights))
+            its_noise, its_moving = np.sqrt(weights**2 @ powers), np.abs(weights) @ moves
+            better = agrees & (_together(its_noise, its_moving) < _together(noise, moving))
+            best, noise = np.where(better, wider, best), np.where(better, its_noise, noise)
+            moving = np.where(better, its_moving, moving)
+        return best, np.maximum(noise, UNSEEN * self.noise[:, places]), moving
+
+    def _needles(self) -> np.ndarray:
+        """Return which lines no noise makes of those beside them, `(lines,)`."""
+        found = np.zeros(self.S.shape[2], dtype=bool)
+        inner = np.arange(self.stride, self.S.shape[2] - self.stride)
+        if inner.size:
+            beside = (self.S[:, :, inner - self.stride] + self.S[:, :, inner + self.stride]) / 2
+            power = np.sum(self.noise**2, axis=0)
+            both = (power[inner - self.stride] + power[inner + self.stride]) / 4
+            share = np.sqrt(1 + both / np.maximum(power[inner], np.finfo(float).tiny))
+            found[inner] = self._in_noise(self.S[:, :, inner] - beside, inner) > SURELY * share
+        return found
+
+    def _in_noise(self, difference: ComplexArray, places: np.ndarray) -> FloatArray:
+        """Return how large a difference is, `(places,)`, over the most that the noise of a line makes of it."""
+        responses, rows = self.responses[places], self.noise_rows[:, places].T[:, :, None]
+        ny, k = responses.shape[1:]
+        whitened = np.moveaxis(difference, 2, 0) @ responses / np.maximum(rows, np.finfo(float).tiny)
+        return largest(whitened) / (np.sqrt(ny) + np.sqrt(k) + SELDOM)
 
 
-def _alone() -> FloatArray:
-    """Return the weights of a line by itself."""
-    return (OFFSETS == 0).astype(float)
+def _together(noise: FloatArray, moving: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.sum(noise**2, axis=0) + moving**2))
 
 
 def _parabola(reach: int) -> FloatArray:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.open_loop import LOWER, OpenBand, Runs, inverted, largest, left_open
+from ultraquiet.simulate.open_loop import LOWER, OpenBand, Runs, inverted, largest, noise_rows, still_moving
 from ultraquiet.simulate.sensitivity.measured import DEVIATIONS, RESOLVED, size_of
-from ultraquiet.simulate.sensitivity.neighbours import with_neighbours
+from ultraquiet.simulate.sensitivity.neighbours import LinesOfS
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -39,22 +39,95 @@ class BandLines:
     rings: bool
 
 
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What is left open of the largest singular value of S, each `(lines,)`.
+
+    `closed`, `opened`: by the noise of either loop; `moving`, `opened_moving`: by runs of either that had not come to
+    rest. Noise of the closed loop alone falls with each pass: the open loop's runs are the same in all of them.
+    """
+
+    closed: FloatArray
+    opened: FloatArray
+    moving: FloatArray
+    opened_moving: FloatArray
+
+    @property
+    def all_moving(self) -> FloatArray:
+        return np.hypot(self.moving, self.opened_moving)
+
+    @property
+    def deviation(self) -> FloatArray:
+        return np.sqrt(self.closed**2 + self.opened**2 + self.all_moving**2)
+
+    def averaged(self, other: "_Left", share: FloatArray) -> "_Left":
+        """Return what is left open once another pass has this share."""
+        rest = 1 - share
+        return _Left(
+            np.hypot(rest * self.closed, share * other.closed),
+            rest * self.opened + share * other.opened,
+            rest * self.moving + share * other.moving,
+            rest * self.opened_moving + share * other.opened_moving,
+        )
+
+
+class _OnePass:
+    """What one pass over a band shows.
+
+    Both loops' sweeps differ in level, so the open response is taken to what was sent with the law,
+
+        S = Yc R^+,   R = Yo Do^+ Dc.
+
+    Attributes: S `(lines, ny, ny)`; `answers` R `(lines, ny, k)`; `closed_rows`, `opened_rows`: noise of either loop at
+    each sensor beside R, `(ny, lines)`; `left`: what is left open of S; `response`: of the closed loop.
+    """
+
+    def __init__(self, band: OpenBand, closed: Runs, noise: FloatArray) -> None:
+        opened = band.runs
+        Do, Dc, Yo, Yc = (np.moveaxis(x, 2, 0) for x in (opened.sent, closed.sent, opened.heard, closed.heard))
+        turn = inverted(Do) @ Dc
+        self.answers = Yo @ turn
+        inverse = inverted(self.answers)
+        self.S = Yc @ inverse
+        self.response = np.moveaxis(Yc @ inverted(Dc), 0, 2).astype(np.complex128)
+        self.closed_rows = noise_rows(closed, noise) + ROUNDING * np.linalg.norm(Yc, axis=2).T
+        by_open = noise_rows(opened, band.noise)
+        turned = largest(turn)
+        self.opened_rows = turned * np.sqrt(np.einsum("lij,jl->il", np.abs(self.S) ** 2, by_open**2))
+        weakest, both = largest(inverse), largest(self.S) * largest(turn @ inverse)
+        self.left = _Left(
+            weakest * np.linalg.norm(self.closed_rows, axis=0),
+            both * np.linalg.norm(by_open, axis=0),
+            weakest * still_moving(closed),
+            both * still_moving(opened),
+        )
+
+
 class LoopPair:
     """Open and closed loop of one law over one band; passes are averaged, each with the weight that noise leaves it."""
 
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
-        self.band, self._law = band, law
-        self._quiet, self._length, self._rings = band.quiet(law), 1, False
-        self._noise = band.noise_of(self._quiet)
-        ny, nu = len(band.bench.sensors), len(band.bench.actuators)
+        self._law, self._length = law, 1
         begin = BEGIN_CLOSED * band.runs.levels
         self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
-        self._weight, self._by_open = np.zeros((2, band.sweep.lines.size))
-        self._S = np.zeros((ny, ny, self._weight.size), dtype=np.complex128)
-        self._closed = np.zeros((ny, nu, self._weight.size), dtype=np.complex128)
+        self._on(band)
+
+    def _on(self, band: OpenBand) -> None:
+        """Begin with the lines of a band."""
+        self.band, self._quiet, self._rings = band, band.quiet(self._law), False
+        self._noise = band.noise_of(self._quiet)
+        ny, nu, lines = len(band.bench.sensors), len(band.bench.actuators), band.sweep.lines.size
+        self._weight = np.zeros(lines)
+        self._S = np.zeros((ny, ny, lines), dtype=np.complex128)
+        self._closed = np.zeros((ny, nu, lines), dtype=np.complex128)
+        self._left = _Left(*np.zeros((4, lines)))
 
     def at(self, asked: np.ndarray | None, most_hidden: float = HIDDEN) -> BandLines:
-        """Measure, again and louder where noise hides lines, and return these lines or those that S asks for."""
+        """Measure, again and louder where noise hides lines, and return these lines or those that S asks for.
+
+        A loop that rings for longer than the open one has an S that is sharper than the lines which that one has: they
+        are chosen from closer ones.
+        """
         for _ in range(PASSES - 1):
             found, hidden = self._once(asked)
             few = np.count_nonzero(hidden) <= (0 if asked is not None else most_hidden * hidden.size)
@@ -65,34 +138,39 @@ class LoopPair:
     def _once(self, asked: np.ndarray | None) -> tuple[BandLines, np.ndarray]:
         """Measure once more, and return the lines with which of them another pass might resolve."""
         self._measure()
+        if asked is None and (sharper := self.band.as_fine_as(self._length)) is not self.band:
+            self._on(sharper)
+            self._measure()
         places = self._dense() if asked is None else asked
-        left = np.stack([1 / np.sqrt(self._weight), self._by_open])
-        S, (by_closed, by_open) = with_neighbours(self._S, left, places, self.band.sweep.finer)
-        size, deviation = size_of(S), np.hypot(by_closed, by_open)
-        # no pass resolves a line that the open loop's noise hides by itself
+        S, (by_closed, by_open), moving = self._lines().with_neighbours(places)
+        size, deviation = size_of(S), np.sqrt(by_closed**2 + by_open**2 + moving**2)
+        # no pass resolves a line that the open loop hides by itself
+        by_open = np.hypot(by_open, self._left.opened_moving[places])
         hidden = (deviation > RESOLVED * size) & (by_open <= RESOLVED * size)
         opened, closed = self.band.response[:, :, places], self._closed[:, :, places]
         rings = self._rings or self.band.runs.lines_open > 0
         return BandLines(self.band.sweep.lines_hz[places], S, deviation, opened, closed, rings), hidden
 
-    @property
-    def _deviation(self) -> FloatArray:
-        """What noise leaves open: less with each pass but for the open loop's own, the same in all of them."""
-        return np.hypot(1 / np.sqrt(self._weight), self._by_open)
-
     def _measure(self) -> None:
         band = self.band
         closed = band.rested(self._law, self._levels, self._quiet, self._length)
         self._levels, self._length, self._rings = closed.better, closed.length, closed.lines_open > 0
-        left = left_open(band.runs, band.noise), left_open(closed, self._noise)
-        S, by_closed, by_open, response = _sensitivity(band.runs, closed, *left)
-        weight = 1 / np.maximum(by_closed, ROUNDING) ** 2
-        total = self._weight + weight
-        share = weight / total
-        self._S += share * (S - self._S)
-        self._by_open += share * (by_open - self._by_open)
-        self._closed += share * (response - self._closed)
-        self._weight = total
+        one = _OnePass(band, closed, self._noise)
+        weight = 1 / np.maximum(np.hypot(one.left.closed, one.left.moving), ROUNDING) ** 2
+        self._weight += weight
+        share = weight / self._weight
+        self._S += share * (np.moveaxis(one.S, 0, 2) - self._S)
+        self._closed += share * (one.response - self._closed)
+        self._left = self._left.averaged(one.left, share)
+        self._last = one
+
+    def _lines(self) -> LinesOfS:
+        """Return S of all passes, with what is left open of it."""
+        left, last = self._left, self._last
+        fewer = left.closed / np.maximum(last.left.closed, np.finfo(float).tiny)
+        rows = np.sqrt((fewer * last.closed_rows) ** 2 + last.opened_rows**2)
+        noise = np.stack([left.closed, left.opened])
+        return LinesOfS(self._S, noise, left.all_moving, rows, last.answers, self.band.sweep.finer)
 
     def _dense(self) -> np.ndarray:
         """Return the places of the lines that S asks for, where the open loop is heard."""
@@ -108,7 +186,7 @@ class LoopPair:
         while True:
             steep = (np.abs(np.diff(level[places])) > STEP_DB) & (np.diff(places) > 1)
             between = (places[:-1] + places[1:])[steep] // 2
-            needles = _needles(size, self._deviation, places)
+            needles = _needles(size, self._left.deviation, places)
             if not between.size and not needles.size:
                 return places
             places = np.unique(np.concatenate([places, between, needles]))
@@ -129,21 +207,3 @@ def _needles(size: FloatArray, deviation: FloatArray, places: np.ndarray) -> np.
         if size[k] > beside * 10 ** (STEP_DB / 20) and size[k] - beside > SURE * deviation[k]:
             found.append(k)
     return np.array(found, dtype=int)
-
-
-def _sensitivity(
-    opened: Runs, closed: Runs, left: FloatArray, left_closed: FloatArray
-) -> tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]:
-    """Return S `(ny, ny, lines)`, how far either loop's noise moves its largest singular value, the closed response.
-
-    Both loops' sweeps differ in level, so the open response is taken to what was sent with the law:
-    S = Yc (Yo Do^+ Dc)^+. `left`, `left_closed`: how far their spectra may be off.
-    """
-    Do, Dc, Yo, Yc = (np.moveaxis(x, 2, 0) for x in (opened.sent, closed.sent, opened.heard, closed.heard))
-    turn = inverted(Do) @ Dc
-    inverse = inverted(Yo @ turn)
-    S = Yc @ inverse
-    by_closed = largest(inverse) * left_closed
-    by_open = largest(S) * largest(turn @ inverse) * left
-    response = Yc @ inverted(Dc)
-    return np.moveaxis(S, 0, 2), by_closed, by_open, np.moveaxis(response, 0, 2).astype(np.complex128)

@@ -13,10 +13,11 @@ LAST = 8  # the last part of a run, one of so many, shows what still moves
 OFFSET, SETTLED = 3.0, 5.0
 # What moves at the end counts when it has so many times the power of the noise there, the mean of all parts of a quiet
 # run and of so many lines beside, which chance never has, and so much of a run's size.
-RINGS, BESIDE, ROUNDED = 20.0, 1, 1e-12
+RINGS, BESIDE, ROUNDED = 24.0, 4, 1e-12
 KAISER = 14.0
 NOISE_LINES = 24  # the noise of a line is the mean of so many neighbours to either side
 LOUDEST = 64  # tones that ring on, at most
+LOBE, UNSURE = 2, 0.1  # bins to either side in which a window shows one tone, and how far from where it seems it may be
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,16 +122,34 @@ class Quiet:
         lines = self.sweep.lines_hz
         window = np.hanning(self.part)
         scale = 2 / window.sum()
-        f = np.fft.rfftfreq(self.part, 1 / self.sweep.rate_hz)
+        bin_hz = self.sweep.rate_hz / self.part
         power = np.abs(scale * np.fft.rfft(rest * window, axis=1)) ** 2
         left = np.zeros((len(rest), lines.size))
         for row, (found, floor) in enumerate(zip(power, self._floor, strict=True)):
             ringing = np.flatnonzero(found > np.maximum(RINGS * floor, (ROUNDED * size[row]) ** 2))
             for k in ringing[np.argsort(-found[ringing], kind="stable")][:LOUDEST]:
-                for mirrored in (f[k], -f[k]):
-                    apart = np.abs(1 - np.exp(2j * np.pi * (mirrored - lines) / self.sweep.rate_hz))
+                tone_hz = bin_hz * tone_at(found, k)
+                for mirrored in (tone_hz, -tone_hz):
+                    away_hz = np.maximum(np.abs(mirrored - lines) - UNSURE * bin_hz, 0.0)
+                    apart = np.abs(1 - np.exp(2j * np.pi * away_hz / self.sweep.rate_hz))
                     left[row] += found[k] / 4 / np.maximum(apart, 1 / n) ** 2
         return np.sqrt(left)
+
+
+def tone_at(power: FloatArray, k: int) -> float:
+    """Return where the tone stands that a bin of a Hann window shows, in bins, from the loudest bin within its lobe.
+
+    Its amplitude there and in the louder of both neighbours, in the ratio r, tell that it is (2 r - 1) / (r + 1) of a
+    bin from the first towards the second (Grandke 1983, doi:10.1109/TIM.1983.4315077).
+    """
+    first = max(k - LOBE, 0)
+    top = first + int(np.argmax(power[first : k + LOBE + 1]))
+    beside = [j for j in (top - 1, top + 1) if 0 <= j < power.size]
+    if not beside or power[top] == 0:
+        return float(top)
+    louder = max(beside, key=lambda j: power[j])
+    ratio = np.sqrt(power[louder] / power[top])
+    return float(top + (louder - top) * np.clip((2 * ratio - 1) / (ratio + 1), 0.0, 0.5))
 
 
 def _line(part: FloatArray) -> tuple[FloatArray, FloatArray]:
