@@ -81,7 +81,7 @@ def test_the_deviation_holds_however_sharp_the_response_is(shape, damping, rng):
     print(f"error over deviation: {rms[0]:.2f} RMS, of lines alone {rms[1]:.2f}; at most {ratio.max():.2f}")
     assert rms[0] < rms[1]
     assert np.quantile(ratio, 0.999) < 4.0
-    # a needle just within noise, (sqrt(rows) + sqrt(columns) + 1) / sqrt(rows) deviations of a line, half of which stays
+    # a needle just within noise: (sqrt(rows) + sqrt(columns) + 1) / sqrt(rows) deviations of a line, half of which stay
     assert ratio.max() < 2 * (1 + (np.sqrt(shape[1]) + 1) / np.sqrt(shape[0])) + 1
 
 
