@@ -89,7 +89,8 @@ def main(venv: Path, lock: Path) -> None:
     python = str(venv / "bin" / "python")
     uv = shutil.which("uv")
     if uv and not Path(python).exists():
-        run(uv, "venv", "--quiet", "--seed", "--python", sys.executable, str(venv))
+        # byte code of this very run may be there already
+        run(uv, "venv", "--quiet", "--allow-existing", "--seed", "--python", sys.executable, str(venv))
     else:
         create(venv)
     # asked while uv is on its way

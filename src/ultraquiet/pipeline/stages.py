@@ -176,7 +176,7 @@ class Stages(ModelStages):
             around = self._around(name, plant, plan)
             adapting = partial(control.adapting, plant, self.study.controllers[name], around)
         loop = None if opened is None else self._close(name, law, adapting, plant, opened)
-        code = self._deploy(name, law, plant, plan, design.facts.adaptive)
+        code = self._deploy(name, law, plant, plan, design.facts.adaptive, loop)
         if payloads is None or loop is None:
             return _Controller(design, law, loop, code)
         return _Controller(design, law, loop, code, self._listen(name, law, adapting, payloads, loop.facts))
@@ -283,8 +283,16 @@ class Stages(ModelStages):
             self.say(f"closed {name} on {of_the_bench(unit)}: {loop.status}")
         return outcome
 
-    def _deploy(self, name: str, law: StateSpace, plant: StateSpace, plan: LoopPlan, adaptive: bool) -> DeploymentFacts:
-        """Turn it into code, unless it adapts."""
+    def _deploy(
+        self,
+        name: str,
+        law: StateSpace,
+        plant: StateSpace,
+        plan: LoopPlan,
+        adaptive: bool,
+        loop: Outcome[LoopFacts] | None,
+    ) -> DeploymentFacts:
+        """Turn it into code, unless it adapts, or its loop was seen unstable on the unit that it was designed for."""
         if adaptive:
             self.say(f"closed {name}, which adapts and is not deployed")
             sentence = "not generated: the law adapts; C99 is generated from linear laws alone."
@@ -292,9 +300,13 @@ class Stages(ModelStages):
         settings = self.study.deploy
         actuators = plant.actuators if self.bench is None else self.bench.actuators
         limits = control.command_limits(actuators, self.records.values(), settings)
+        unbearable = "" if loop is None else loop.facts.unbearable
         key = [law.hash, plant.hash, limits, settings, plan.tones_hz, compiler()]
+        key += [unbearable] if unbearable else []
 
         def compute() -> Outcome[DeploymentFacts]:
+            if unbearable:
+                return Outcome({}, NoCode(status=f"refused: {unbearable}; no code is written of it."))
             place = self.cache.workplace("code", name)
             return deployed(name, law, plant, limits, place, settings, plan.tones_hz)
 

@@ -208,6 +208,12 @@ class UnstableLoop:
 
 @fact
 class LoopFacts:
-    """Stage `loop`: one controller on the bench of every unit."""
+    """Stage `loop`: one controller on the bench of every unit, that of the study's records first."""
 
     units: Mapping[str, StableLoop | UnstableLoop]
+
+    @property
+    def unbearable(self) -> str:
+        """Say that the loop is unstable on the unit it was designed for; empty where it is not, or not known to be."""
+        unit, loop = next(iter(self.units.items()), ("", None))
+        return "" if loop is None or loop.stable is not False else f"the loop is unstable on {of_the_bench(unit)}"
