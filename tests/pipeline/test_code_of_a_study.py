@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -11,9 +12,12 @@ from small_study import STUDY, walk, written
 import ultraquiet as uq
 from read_page import Page
 from ultraquiet.pipeline.facts.code import CodeFacts, DeploymentFacts, NoCode, WholeNumberFacts
+from ultraquiet.pipeline.facts.loops import LoopFacts, UnstableLoop
 from ultraquiet.pipeline.facts.typed import from_plain, to_plain
 from ultraquiet.pipeline.making.code import deployed
 from ultraquiet.pipeline.making.code import written as code_of
+from ultraquiet.pipeline.stage import Cache, Outcome
+from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import StudyError, load_study
 from ultraquiet.pipeline.tables.code import Deploy
 
@@ -78,6 +82,32 @@ def test_whole_numbers_without_a_range_are_refused_by_name_and_leave_the_study_s
     assert isinstance(facts, NoCode)
     assert facts.failed
     assert "whole numbers need a range" in facts.status
+
+
+@pytest.mark.parametrize(
+    ("units", "is_written"),
+    [
+        ({}, True),
+        ({"bench": UnstableLoop(status="not known: Noise hides it.")}, True),
+        ({"bench": UnstableLoop(status="unstable: A mode grows.")}, False),
+    ],
+)
+def test_no_code_is_written_of_a_law_that_its_bench_does_not_bear(units, is_written, tmp_path):
+    said = []
+    channels = [uq.Channel("push", "N", -1.0, 1.0)]
+    stages = SimpleNamespace(
+        study=SimpleNamespace(deploy=Deploy(processors=[])),
+        bench=SimpleNamespace(actuators=channels),
+        records={},
+        cache=Cache(tmp_path, said.append),
+        say=said.append,
+    )
+    plan = SimpleNamespace(tones_hz=())
+    facts = Stages._deploy(stages, "calm", LAW, PLANT, plan, False, Outcome({}, LoopFacts(units=units)))
+    assert (tmp_path / "code" / "calm" / "controller.c").exists() is is_written
+    assert facts.failed is not is_written
+    if not is_written:
+        assert said[-1] == "code of calm: refused: the loop is unstable on the bench; no code is written of it."
 
 
 @pytest.mark.parametrize(

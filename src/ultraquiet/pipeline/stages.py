@@ -292,7 +292,7 @@ class Stages(ModelStages):
         adaptive: bool,
         loop: Outcome[LoopFacts] | None,
     ) -> DeploymentFacts:
-        """Turn it into code, unless it adapts, or its loop was seen unstable on the unit that it was designed for."""
+        """Turn it into code, unless it adapts, or its loop was seen unstable on the first unit of the study."""
         if adaptive:
             self.say(f"closed {name}, which adapts and is not deployed")
             sentence = "not generated: the law adapts; C99 is generated from linear laws alone."

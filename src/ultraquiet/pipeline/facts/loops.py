@@ -208,12 +208,12 @@ class UnstableLoop:
 
 @fact
 class LoopFacts:
-    """Stage `loop`: one controller on the bench of every unit, that of the study's records first."""
+    """Stage `loop`: one controller on the bench of every unit, the first of the study first."""
 
     units: Mapping[str, StableLoop | UnstableLoop]
 
     @property
     def unbearable(self) -> str:
-        """Say that the loop is unstable on the unit it was designed for; empty where it is not, or not known to be."""
+        """Say that the loop is unstable on the first unit; empty where it is not, or not known to be."""
         unit, loop = next(iter(self.units.items()), ("", None))
         return "" if loop is None or loop.stable is not False else f"the loop is unstable on {of_the_bench(unit)}"
