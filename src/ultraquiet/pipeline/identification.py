@@ -176,7 +176,7 @@ def one_record_of(names: Sequence[str]) -> str:
     return (
         f"these are {len(names)} records ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''}), and without "
         "'period_samples' the plant is identified from one in which all actuators move: name a record of "
-        "actuator = \"all\", or excite with a periodic signal and give its 'period_samples'."
+        'actuator = "all", or excite with a periodic signal, give its \'period_samples\' and method = "rational".'
     )
 
 

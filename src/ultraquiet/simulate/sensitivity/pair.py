@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.open_loop import LOWER, OpenBand, Runs, inverted, largest, noise_rows, still_moving
+from ultraquiet.simulate.open_loop import LOWER, OpenBand
 from ultraquiet.simulate.sensitivity.measured import DEVIATIONS, RESOLVED, size_of
 from ultraquiet.simulate.sensitivity.neighbours import LinesOfS
+from ultraquiet.simulate.sensitivity.one_pass import ROUNDING, LeftOpen, OnePass
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -21,7 +22,6 @@ SURE = 4.0  # deviations above its neighbours, for one of many lines to be a nee
 APART, STEP_DB = 0.003, 0.5
 # Lines are chosen where the open loop by itself would leave an S of size one this much open.
 HEARD = 0.02
-ROUNDING = 1e-9  # what is left of a deviation without noise
 EDGE = 1.05  # where a sweep fades in and out
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
@@ -37,70 +37,6 @@ class BandLines:
     opened: ComplexArray
     closed: ComplexArray
     rings: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Left:
-    """What is left open of the largest singular value of S, each `(lines,)`.
-
-    `closed`, `opened`: by the noise of either loop; `moving`, `opened_moving`: by runs of either that had not come to
-    rest. Noise of the closed loop alone falls with each pass: the open loop's runs are the same in all of them.
-    """
-
-    closed: FloatArray
-    opened: FloatArray
-    moving: FloatArray
-    opened_moving: FloatArray
-
-    @property
-    def all_moving(self) -> FloatArray:
-        return np.hypot(self.moving, self.opened_moving)
-
-    @property
-    def deviation(self) -> FloatArray:
-        return np.sqrt(self.closed**2 + self.opened**2 + self.all_moving**2)
-
-    def averaged(self, other: "_Left", share: FloatArray) -> "_Left":
-        """Return what is left open once another pass has this share."""
-        rest = 1 - share
-        return _Left(
-            np.hypot(rest * self.closed, share * other.closed),
-            rest * self.opened + share * other.opened,
-            rest * self.moving + share * other.moving,
-            rest * self.opened_moving + share * other.opened_moving,
-        )
-
-
-class _OnePass:
-    """What one pass over a band shows.
-
-    Both loops' sweeps differ in level, so the open response is taken to what was sent with the law,
-
-        S = Yc R^+,   R = Yo Do^+ Dc.
-
-    Attributes: S `(lines, ny, ny)`; `answers` R `(lines, ny, k)`; `closed_rows`, `opened_rows`: noise of either loop at
-    each sensor beside R, `(ny, lines)`; `left`: what is left open of S; `response`: of the closed loop.
-    """
-
-    def __init__(self, band: OpenBand, closed: Runs, noise: FloatArray) -> None:
-        opened = band.runs
-        Do, Dc, Yo, Yc = (np.moveaxis(x, 2, 0) for x in (opened.sent, closed.sent, opened.heard, closed.heard))
-        turn = inverted(Do) @ Dc
-        self.answers = Yo @ turn
-        inverse = inverted(self.answers)
-        self.S = Yc @ inverse
-        self.response = np.moveaxis(Yc @ inverted(Dc), 0, 2).astype(np.complex128)
-        self.closed_rows = noise_rows(closed, noise) + ROUNDING * np.linalg.norm(Yc, axis=2).T
-        by_open = noise_rows(opened, band.noise)
-        turned = largest(turn)
-        self.opened_rows = turned * np.sqrt(np.einsum("lij,jl->il", np.abs(self.S) ** 2, by_open**2))
-        weakest, both = largest(inverse), largest(self.S) * largest(turn @ inverse)
-        self.left = _Left(
-            weakest * np.linalg.norm(self.closed_rows, axis=0),
-            both * np.linalg.norm(by_open, axis=0),
-            weakest * still_moving(closed),
-            both * still_moving(opened),
-        )
 
 
 class LoopPair:
@@ -120,7 +56,7 @@ class LoopPair:
         self._weight = np.zeros(lines)
         self._S = np.zeros((ny, ny, lines), dtype=np.complex128)
         self._closed = np.zeros((ny, nu, lines), dtype=np.complex128)
-        self._left = _Left(*np.zeros((4, lines)))
+        self._left = LeftOpen(*np.zeros((4, lines)))
 
     def at(self, asked: np.ndarray | None, most_hidden: float = HIDDEN) -> BandLines:
         """Measure, again and louder where noise hides lines, and return these lines or those that S asks for.
@@ -155,7 +91,7 @@ class LoopPair:
         band = self.band
         closed = band.rested(self._law, self._levels, self._quiet, self._length)
         self._levels, self._length, self._rings = closed.better, closed.length, closed.lines_open > 0
-        one = _OnePass(band, closed, self._noise)
+        one = OnePass(band, closed, self._noise)
         weight = 1 / np.maximum(np.hypot(one.left.closed, one.left.moving), ROUNDING) ** 2
         self._weight += weight
         share = weight / self._weight
