@@ -36,6 +36,17 @@ def test_an_offset_that_drives_a_command_to_its_limit_is_named():
     assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
 
 
+def test_what_an_offset_heaps_up_is_no_growth():
+    """A law that follows an offset slowly: commands grow from next to nothing, in a loop that decays all the time."""
+    lagging = StateSpace([[0.9995]], [[1.0]], [[-0.0003]], [[0.0]], RATE_HZ)
+    check = uq.simulate.check_stability(gap_bench(60.0, 1e-3), lagging, 8.0)
+    print(check.status)
+    assert check.status.word == "not known"
+    assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
+    within = uq.simulate.check_stability(gap_bench(6.0, 1e-3), lagging, 30.0)
+    assert within.status.word == "ok"
+
+
 @pytest.mark.slow
 def test_an_offset_hides_no_line_of_the_sensitivity():
     """The same loop with and without an offset of a thousand deviations of its noise."""

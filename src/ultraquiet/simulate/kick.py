@@ -22,6 +22,7 @@ RAISES, RAISED_BY, NEAR = 8, 30.0, 1.5
 COLOURS_PER_OCTAVE = 3
 KAISER = 14.0  # of the mean of what rings yet: little of a tone that decays is left in it
 AT_FIRST = 8  # samples in which noise has driven commands and the loop has not grown yet
+HALF = 0.45  # of what commands reach, that half the time before is less where they grow
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +102,19 @@ class FreeResponse:
 
     @property
     def rise(self) -> float:
-        """By how much commands grew from the first samples until one stands at its limit, over the root of the time."""
+        """By how much commands grew from the first samples until one stands at its limit, over the root of the time.
+
+        What an offset heaps up is no growth, however much it is: half the way there it is half as large or more.
+        """
         rises = [0.0]
         for run in self.runs:
             first = np.flatnonzero(stands_at_limits(run.inputs, run.actuators).any(axis=0))
             begun = np.sqrt(np.mean(run.inputs[:, :AT_FIRST] ** 2, axis=1))
             if first.size and first[0] > AT_FIRST:
                 there = np.abs(run.inputs[:, first[0]])
-                heard = begun > 0
+                halfway = first[0] // 2 + np.arange(-AT_FIRST // 2, AT_FIRST // 2)
+                by_then = np.sqrt(np.mean(run.inputs[:, halfway] ** 2, axis=1))
+                heard = (begun > 0) & (by_then < HALF * there)
                 rises += list(there[heard] / begun[heard] / np.sqrt(first[0] / AT_FIRST))
         return float(max(rises))
 
