@@ -52,8 +52,9 @@ class LinesOfS:
         with noise sqrt(sum_j w_j^2 d(l + j stride)^2); what moves adds up, sum_j |w_j| d(l + j stride). A window counts
         as long as it differs from every narrower one by what noise makes of the difference of their weights, judged in
         the units of the noise: ||diag(rows)^-1 (S_m - S_m') R||. So nothing that a quiet sensor or a strong direction
-        shows is lost in the noise of another. Of the windows that count, the one that leaves least open. Where S bends
-        by more than noise, at a needle, it stays as it was read.
+        shows is lost in the noise of another. Nor does a window with a needle in it count, a line that differs from the
+        mean of both beside it by more than noise. Of those that do, the one that leaves least open; half of what a line
+        by itself leaves open stays, for a needle within its noise.
 
         Reference: Savitzky and Golay, Anal. Chem. 36 (1964) 1627-1639, doi:10.1021/ac60214a047, for the weights;
         Katkovnik, IEEE Trans. Signal Process. 47 (1999) 2567-2571, doi:10.1109/78.782208, for windows whose intervals
