@@ -83,7 +83,7 @@ class LinesOfS:
                 agrees &= self._in_noise(wider - other, places) <= share
             narrower.append((wider, weights))
             its_noise, its_moving = np.sqrt(weights**2 @ powers), np.abs(weights) @ moves
-            better = agrees & (_together(its_noise, its_moving) < _together(noise, moving))
+            better = agrees & (together(its_noise, its_moving) < together(noise, moving))
             best, noise = np.where(better, wider, best), np.where(better, its_noise, noise)
             moving = np.where(better, its_moving, moving)
         return best, np.maximum(noise, UNSEEN * self.noise[:, places]), moving
@@ -108,7 +108,8 @@ class LinesOfS:
         return largest(whitened) / (np.sqrt(ny) + np.sqrt(k) + SELDOM)
 
 
-def _together(noise: FloatArray, moving: FloatArray) -> FloatArray:
+def together(noise: FloatArray, moving: FloatArray) -> FloatArray:
+    """Return what noise of independent causes, `(n, lines)`, and what moves, `(lines,)`, leave open, `(lines,)`."""
     return np.asarray(np.sqrt(np.sum(noise**2, axis=0) + moving**2))
 
 

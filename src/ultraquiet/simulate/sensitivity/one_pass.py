@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.simulate.open_loop import OpenBand, Runs, inverted, largest, noise_rows, still_moving
+from ultraquiet.simulate.sensitivity.neighbours import together
 
 ROUNDING = 1e-9  # what is left of a deviation without noise
 
@@ -24,6 +25,11 @@ class LeftOpen:
     opened_moving: FloatArray
 
     @property
+    def noise(self) -> FloatArray:
+        """By the noise of the closed loop and of the open one, `(2, lines)`."""
+        return np.stack([self.closed, self.opened])
+
+    @property
     def all_moving(self) -> FloatArray:
         """By runs of both loops that had not come to rest."""
         return np.hypot(self.moving, self.opened_moving)
@@ -31,7 +37,7 @@ class LeftOpen:
     @property
     def deviation(self) -> FloatArray:
         """By all of it."""
-        return np.sqrt(self.closed**2 + self.opened**2 + self.all_moving**2)
+        return together(self.noise, self.all_moving)
 
     def averaged(self, other: "LeftOpen", share: FloatArray) -> "LeftOpen":
         """Return what is left open once another pass has this share."""

@@ -8,7 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.open_loop import LOWER, OpenBand
 from ultraquiet.simulate.sensitivity.measured import DEVIATIONS, RESOLVED, size_of
-from ultraquiet.simulate.sensitivity.neighbours import LinesOfS
+from ultraquiet.simulate.sensitivity.neighbours import LinesOfS, together
 from ultraquiet.simulate.sensitivity.one_pass import ROUNDING, LeftOpen, OnePass
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
@@ -78,10 +78,10 @@ class LoopPair:
             self._on(sharper)
             self._measure()
         places = self._dense() if asked is None else asked
-        S, (by_closed, by_open), moving = self._lines().with_neighbours(places)
-        size, deviation = size_of(S), np.sqrt(by_closed**2 + by_open**2 + moving**2)
+        S, noise, moving = self._lines().with_neighbours(places)
+        size, deviation = size_of(S), together(noise, moving)
         # no pass resolves a line that the open loop hides by itself
-        by_open = np.hypot(by_open, self._left.opened_moving[places])
+        by_open = np.hypot(noise[1], self._left.opened_moving[places])
         hidden = (deviation > RESOLVED * size) & (by_open <= RESOLVED * size)
         opened, closed = self.band.response[:, :, places], self._closed[:, :, places]
         rings = self._rings or self.band.runs.lines_open > 0
@@ -105,8 +105,7 @@ class LoopPair:
         left, last = self._left, self._last
         fewer = left.closed / np.maximum(last.left.closed, np.finfo(float).tiny)
         rows = np.sqrt((fewer * last.closed_rows) ** 2 + last.opened_rows**2)
-        noise = np.stack([left.closed, left.opened])
-        return LinesOfS(self._S, noise, left.all_moving, rows, last.answers, self.band.sweep.finer)
+        return LinesOfS(self._S, left.noise, left.all_moving, rows, last.answers, self.band.sweep.finer)
 
     def _dense(self) -> np.ndarray:
         """Return the places of the lines that S asks for, where the open loop is heard."""
