@@ -112,10 +112,11 @@ def finished(
     free = structure.parameters(nu) + nu * structure.longest + 1  # its past and a constant too
     share = best.loss / max(float(np.var(data.y)), np.finfo(float).tiny)
     status = noiseless(share) or verdict(best.state, best.iterations, evidence)
-    told = chance.explained(data.recorded, data.recorded - output)
-    silent = status.ok and chance.by_chance(told, data.recorded.size, free)
-    if silent:
-        status = chance.silence(told)
+    silent = False
+    if status.ok:
+        told = chance.explained(data.recorded, data.recorded - output)
+        silent = chance.by_chance(told, data.recorded.size, free)
+        status = chance.silence(told) if silent else status
     if status.ok and not model.is_stable():
         # Only ARX and ARMAX can end here: their A is not divided by.
         status = Status(
@@ -189,7 +190,8 @@ def _raced(data: ChannelData, structure: Structure, search: Search) -> "tuple[Fo
 
 
 def _passes(found: "Found", data: ChannelData, structure: Structure) -> bool:
-    return min(residual_tests(found.residual, data.u, structure)) >= SIGNIFICANCE
+    e = found.residual
+    return whiteness(e, structure) >= SIGNIFICANCE and freedom(e, data.u) >= SIGNIFICANCE
 
 
 def _further(found: "Found", data: ChannelData, structure: Structure, search: Search, steps: int) -> "Found":
@@ -219,11 +221,22 @@ def run_search(
 
 
 def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[float, float]:
-    """Return the p-values that e is white and that it is free of the inputs (the least over the inputs)."""
-    lags = min(TEST_LAGS, e.size // 10)
-    noise = structure.a + structure.c + structure.d
-    white = portmanteau.ljung_box(e, lags, noise).p_value
-    return white, portmanteau.sidak(portmanteau.cross_correlation(e, x, lags).p_value for x in u)
+    """Return the p-values that e is white and that it is free of the inputs."""
+    return whiteness(e, structure), freedom(e, u)
+
+
+def whiteness(e: FloatArray, structure: Structure) -> float:
+    """Return the p-value that the residual e of a structure is white."""
+    return portmanteau.ljung_box(e, _test_lags(e), structure.a + structure.c + structure.d).p_value
+
+
+def freedom(e: FloatArray, u: FloatArray) -> float:
+    """Return the p-value that e is free of the inputs, that of the least over them."""
+    return portmanteau.sidak(portmanteau.cross_correlation(e, x, _test_lags(e)).p_value for x in u)
+
+
+def _test_lags(e: FloatArray) -> int:
+    return min(TEST_LAGS, e.size // 10)
 
 
 def model_of(found: "Found", structure: Structure, data: ChannelData, rate_hz: float) -> PolynomialModel:

@@ -40,6 +40,7 @@ class ChannelData:
         self.gain = self.output_size / self.input_size
         self._subspaces: dict[int, tuple[FloatArray, FloatArray] | None] = {}
         self.searched: dict[Hashable, Any] = {}
+        self.numerators: dict[Hashable, FloatArray] = {}  # of the plants that starts begin with, by their poles
         self.start: PolynomialModel | None = None
 
     @classmethod
@@ -58,7 +59,7 @@ class ChannelData:
     def repaired(self, model: FloatArray) -> "ChannelData":
         """Return the channel with its clipped readings replaced by a model's output, in output units."""
         other = copy(self)
-        other.searched = {}
+        other.searched, other.numerators = {}, {}
         other.y = repaired(self.recorded, model, self.low, self.high) / self.output_size
         return other
 
@@ -199,7 +200,12 @@ def _from_poles(data: ChannelData, structure: Structure, f: FloatArray) -> Float
     parameterisation = Parameterisation.alike(plant, nu)
     signals = signals_of(parameterisation, free_rows(nu, b_rows(nu)), parameterisation.states(True, True))
     accumulator = in_memory.InMemory(data.u, data.y, signals)
-    table = in_memory.search(accumulator, table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
+    # Output error, Box-Jenkins and ARMAX begin at the same plants.
+    key = (plant, f.tobytes())
+    if key not in data.numerators:
+        found = in_memory.search(accumulator, table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
+        data.numerators[key] = found[b_rows(nu), : structure.b].copy()
+    table[b_rows(nu), : structure.b] = data.numerators[key]
     if structure.c or structure.d:
         c, d = noise_start(accumulator.residual(table), structure.c, structure.d)
         table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
