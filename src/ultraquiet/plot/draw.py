@@ -25,6 +25,7 @@ CROWDED = 12  # panels, beyond which each shows less
 MOST_ROWS = 3  # of a name below an axis
 LETTER_IN, ROW_IN = 0.075, 0.14  # of such a name
 TITLE_PT, LEAST_PT = 9.0, 6.0  # of a title's letters
+BARE_DECADES = 1.5  # of a logarithmic axis, from which on its small ticks bear no numbers
 CONFIDENT = 0.15  # opacity of a confidence
 # Inches beside each panel for numbers and title, for a label besides, right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
@@ -99,11 +100,40 @@ def _laid_out(figure: Figure, dpi: float) -> "Canvas":
             panel_on(axes, figure.panels[k], named=not above and not _is_crowded(figure))
             if _is_crowded(figure):
                 _bared(axes, figure, k)
+            _ticks_as_one(axes)
         else:
             axes.set_visible(False)
     if above:
         legend.put_above(canvas, list(grid.ravel()), figure)
     return canvas
+
+
+def _ticks_as_one(axes: "Axes") -> None:
+    """Draw the small ticks of each logarithmic axis as one row of marks, where they bear no numbers.
+
+    As ticks each of them is five objects, and to make these took a third of the time of a figure.
+    """
+    from matplotlib import rcParams
+    from matplotlib.lines import Line2D
+    from matplotlib.markers import TICKDOWN, TICKLEFT, MarkerStyle
+    from matplotlib.ticker import NullLocator
+
+    across = TICKDOWN, rcParams["xtick.minor.size"], rcParams["xtick.minor.width"]
+    along = TICKLEFT, rcParams["ytick.minor.size"], rcParams["ytick.minor.width"]
+    for axis, where, (mark, size, width) in (
+        (axes.xaxis, axes.get_xaxis_transform(), across),
+        (axes.yaxis, axes.get_yaxis_transform(), along),
+    ):
+        low, high = sorted(axis.get_view_interval())
+        if axis.get_scale() != "log" or high < low * 10**BARE_DECADES:
+            continue
+        ticks = axis.get_minorticklocs()
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        axis.set_minor_locator(NullLocator())
+        x, y = (ticks, np.zeros(ticks.size))[:: 1 if axis is axes.xaxis else -1]
+        marks = Line2D(x, y, linestyle="none", marker=MarkerStyle(mark), color="black")
+        marks.set(markersize=size, markeredgewidth=width, transform=where, clip_on=False)
+        axes.add_artist(marks)
 
 
 def _is_crowded(figure: Figure) -> bool:
