@@ -18,8 +18,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 LARGEST_TAIL = 2e-3  # of the last Fourier coefficients kept, relative to the largest: the circle is fine enough
 LANCZOS = 40
-BISECTIONS = 9
-DEEPEST_DB = 20.0  # how far above what a basis reaches a bound is sought
+DEEPEST_DB, WITHIN_DB = 20.0, 0.04  # how far above what a basis reaches a bound is sought, and how closely
+FURTHEST = 100.0  # from one, beyond which it does not matter how far a norm is from it
 LEAST_DISC = 1e-12
 
 
@@ -68,16 +68,23 @@ def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float)
         weights: `(demands, angles)`, adding up to one.
         reached: a level that some Q meets.
     """
+    from scipy.optimize import brentq
+
     norm, tail = hankel_measure(demands, weights, reached)
     if norm > 1 or tail > LARGEST_TAIL:
         return float("nan")
-    low, high = reached * 10 ** (-DEEPEST_DB / 20), reached
-    if hankel_measure(demands, weights, low)[0] <= 1:
+    norms = {0.0: norm}  # by the level in dB above what is reached
+
+    def excess(level_db: float) -> float:
+        if level_db not in norms:
+            norms[level_db] = hankel_measure(demands, weights, reached * 10 ** (level_db / 20))[0]
+        # one is no proof yet
+        return float(np.log(np.clip(norms[level_db], 1 / FURTHEST, FURTHEST))) or -np.finfo(float).eps
+
+    if excess(-DEEPEST_DB) <= 0:
         return 0.0
-    for _ in range(BISECTIONS):
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if hankel_measure(demands, weights, middle)[0] > 1 else (low, middle)
-    return float(low)
+    brentq(excess, -DEEPEST_DB, 0.0, xtol=WITHIN_DB)
+    return float(reached * 10 ** (max(level for level, n in norms.items() if n > 1) / 20))
 
 
 def hankel_measure(demands: Sequence[Merged], weights: FloatArray, level: float) -> tuple[float, float]:
