@@ -11,6 +11,7 @@ from deploy_laws import RANGES, RATE_HZ, block, random_law
 from ultraquiet import files
 from ultraquiet._base.errors import InputError, NumericalError, ToolError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet.cli.exits.codes import ExitCode, exit_code
 from ultraquiet.deploy import generate, generate_fixed, word_lengths
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.values import Channel, StateSpace
@@ -206,6 +207,15 @@ def test_a_loop_that_rounding_upsets_is_refused(tmp_path, monkeypatch, capsys):
         print(err)
         assert (code, "the loop of this plant and the law is unstable" in err) == (1, True)
     assert sorted(os.listdir(tmp_path)) == ["law.h5", "plant.h5"]
+
+
+def test_code_of_a_law_that_is_unstable_by_itself_is_written_and_said_to_be(tmp_path):
+    """A plant that is unstable may need such a law; without that loop it is not ok, and the command ends with one."""
+    law = StateSpace([[1.1]], [[0.1]], [[0.1]], [[0.0]], RATE_HZ)
+    status = generate(law, tmp_path / "code").status
+    assert (status.word, exit_code(status)) == ("unstable", ExitCode.NOT_OK)
+    assert "The controller itself is unstable" in status.sentence
+    assert (tmp_path / "code" / "manifest.json").exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="the compilers are shell scripts")
