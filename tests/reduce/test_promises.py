@@ -9,6 +9,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.analyse import disk_margin, peak_sensitivity
+from ultraquiet.design import LoopShaping
 from ultraquiet.reduce import Balanced, ClosedLoopWeighted, Promise, held
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append
@@ -96,6 +97,34 @@ def test_without_a_number_of_states_the_fewest_that_keep_the_promise_are_taken(t
     assert fewer.status.word == "loss"
 
 
+@pytest.mark.parametrize("method", [ClosedLoopWeighted(states=2), Balanced(states=3)])
+def test_what_a_law_did_is_to_be_kept_wherever_it_is_from(method):
+    """As designed, made by hand of the same numbers, and with a plant whose last digits are others."""
+    plant = two_by_two()
+    law = LoopShaping().design(plant).controller
+    by_hand = StateSpace(law.A, law.B, law.C, law.D, law.rate_hz)
+    near = StateSpace(plant.A, plant.B * (1 + 1e-7), plant.C, plant.D, plant.rate_hz)
+    for which, at in ((law, plant), (by_hand, plant), (law, near)):
+        small = method.reduce(which, at)
+        print(small.status)
+        assert small.status.word == "loss"
+        assert small.after.rms_db < small.before.rms_db - 3.0
+    kept = ClosedLoopWeighted().reduce(by_hand, plant)
+    print(kept.status)
+    assert kept.status.ok
+    assert kept.controller.states < law.states
+
+
+def two_by_two():
+    """Two lightly damped modes, each heard at both sensors and moved from both actuators, at 200 Hz."""
+    A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
+    for k, (f_hz, b, c) in enumerate(((7.0, [1.0, 0.4], [1.0, 0.3]), (19.0, [-0.5, 1.0], [-0.2, 1.0]))):
+        p = np.exp(2 * np.pi * f_hz / 200.0 * (-0.01 + 1j))
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+        B[2 * k + 1], C[:, 2 * k] = 0.1 * np.array(b), c
+    return StateSpace(A, B, C, np.zeros((2, 2)), 200.0)
+
+
 @pytest.mark.slow
 def test_a_coarser_promise_takes_fewer_states(tones):
     plant, law, weights = tones
@@ -112,7 +141,7 @@ def test_every_method_of_reduction_is_judged_by_the_same_promise(tones):
     assert small.status.word in ("loss", "unstable")
     nothing_stated = StateSpace(law.A, law.B, law.C, law.D, RATE_HZ)
     again = Balanced(states=24).reduce(nothing_stated, plant, weights)
-    assert again.before is None
+    assert again.status.word in ("loss", "unstable")
     judged = held(again, nothing_stated, plant, Promise(BAND_HZ, TONES_HZ))
     assert judged.broken == small.broken
 

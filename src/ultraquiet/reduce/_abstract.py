@@ -28,16 +28,16 @@ class ReductionResult(Shown):
 
     Attributes:
         status: `ok` when the loop is stable with the reduced system (or when no loop was asked for), no more was lost
-            than allowed and what the law promised is kept; else `unstable` or `loss`.
+            than allowed and what the law did for it is kept; else `unstable` or `loss`.
         controller: the reduced system.
         hankel: the (weighted) Hankel values by which states were kept, largest first.
         cost_before: closed-loop norm with the full controller; nan where no loop was given.
         cost_after: the same with the reduced one, computed again from the finished controller.
         details: everything else, by name; `certificate` holds `stable`, `norm`, `before`, `after`, `loss_percent`,
             `allowed_percent`, `states`, `multiply_adds` and `budget`.
-        before, after: what the full and the reduced law deliver (peak, worst direction in the band, tones, margins),
-            where the law was designed from this plant or the promise is stated; else None.
-        broken: a phrase for each promise that the reduced law breaks.
+        before, after: what the full and the reduced law deliver (peak, worst direction in the band, tones, margins);
+            None without a plant, or without a loop that both of them hold.
+        broken: a phrase for each of them of which the reduced law loses more than is allowed.
         provenance: settings and parents.
     """
 

@@ -115,19 +115,19 @@ def held(
     result: ReductionResult,
     controller: StateSpace,
     plant: StateSpace,
-    promise: Promise | None,
+    promise: Promise,
     judge: Judge | None = None,
 ) -> ReductionResult:
-    """Return a reduction judged by what the full law promised; as it is where nothing was promised or no loop is left.
+    """Return a reduction judged by what the full law did for its loop; as it is where there is no loop, or none left.
 
     Args:
         result: of a reduction; its status becomes `loss` where a promise is broken.
         controller: the full law.
         plant: G.
-        promise: what must be left; None where nothing is.
+        promise: what must be left.
         judge: of this promise, where there is one already.
     """
-    if promise is None or result.status.word is StatusWord.UNSTABLE or not feedback(plant, controller).is_stable():
+    if result.status.word is StatusWord.UNSTABLE or not feedback(plant, controller).is_stable():
         return result
     judge = judge or Judge(plant, controller, promise)
     after = judge.of(result.controller)
@@ -140,8 +140,8 @@ def held(
 
 
 def kept_promise(result: ReductionResult, controller: StateSpace, plant: StateSpace | None) -> ReductionResult:
-    """Return a reduction judged by all that the full law promised on the plant; as it is where no plant is given."""
-    return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
+    """Return a reduction judged by all that the full law did for the plant's loop; as it is where no plant is given."""
+    return result if plant is None else held(result, controller, plant, Promise.of(controller))
 
 
 def _verdict(controller: StateSpace, proof: Mapping[str, Any], bound: float | None) -> Status:

@@ -19,7 +19,6 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-USUAL_LOSS = 0.05  # allowed growth of a mean square where neither states, nor budget, nor a loss are asked for
 # Numbers in a law, up to which descents are sent off from projections that lose the loop, most of them in vain: of
 # twice as many each takes a quarter of a minute.
 TUNABLE = 4000
@@ -47,10 +46,10 @@ class ClosedLoopWeighted:
             more has the status `loss`.
         loss_db: what may be lost, in dB, of the peak of S, of the worst direction over the band and at each tone, and
             come to the largest gain of K S; a tenth of the disk margins at both ends may go with it. Without `states`,
-            `budget` and `loss` it finds the fewest states. A result that breaks more of what the law was designed for
-            has the status `loss`.
-        band_hz, tones_hz: what is promised; as the law's own design states it when absent, and without a statement the
-            band is where the loop quietens every direction by half of what it reaches at best, in dB.
+            `budget` and `loss` it finds the fewest states. A result that loses more of
+            what the full law does has the status `loss`.
+        band_hz, tones_hz: where; as the law's own design states it when absent, and without a statement the band is
+            where the loop quietens every direction by half of what it reaches at best, in dB.
         method: `perturbation` (gain at 0 Hz kept) or `truncation`, whichever is tried first.
         norm: `peak` (H-infinity) or `mean-square` (H2, what LQG minimises).
         steps: most steps of each descent; 0 leaves the projection as it is.
@@ -120,13 +119,9 @@ class ClosedLoopWeighted:
         fits("ClosedLoopWeighted", controller, plant)
         tried = Candidates(judging_plant(plant, weights), controller, self.method, self.norm)
         nothing = self.states is None and self.budget is None and self.loss is None
-        promise = self._promise(controller, plant, nothing)
-        allowed = USUAL_LOSS if nothing and promise is None else self.loss
-        judge = None if promise is None else Judge(plant, controller, promise)
-        if nothing and judge is not None:
-            best = _fewest_that_keep(tried, controller, judge)
-        else:
-            best = self._chosen(tried, controller, allowed)
+        promise = self._promise(controller)
+        judge = Judge(plant, controller, promise)
+        best = _fewest_that_keep(tried, controller, judge) if nothing else self._chosen(tried, controller)
         provenance = Provenance(
             "ClosedLoopWeighted", asdict(self), parents=(controller.hash, plant.hash), versions=versions()
         )
@@ -138,25 +133,21 @@ class ClosedLoopWeighted:
             P=tried.P,
             norm=self.norm,
             before=tried.before,
-            allowed=allowed,
+            allowed=self.loss,
             budget=self.budget,
             details={"way": best.way},
         )
         result = held(result, controller, plant, promise, judge)
         return result if nothing else _with_enough(result, tried, controller, judge)
 
-    def _promise(self, controller: StateSpace, plant: StateSpace, choosing: bool) -> Promise | None:
-        """Return what is to be kept: as stated here, else as the law's design states it; some where it must choose."""
-        own = Promise.of(controller, plant, self.loss_db)
-        if self.band_hz is not None or self.tones_hz:
-            stated = own or Promise(loss_db=self.loss_db)
-            return replace(stated, band_hz=self.band_hz or stated.band_hz, tones_hz=self.tones_hz or stated.tones_hz)
-        chosen_by_db = choosing and self.norm == "peak"
-        return own or (Promise(loss_db=self.loss_db) if chosen_by_db else None)
+    def _promise(self, controller: StateSpace) -> Promise:
+        """Return what is to be kept: over the band and at the tones stated here, else as the law's design states."""
+        own = Promise.of(controller, self.loss_db)
+        return replace(own, band_hz=self.band_hz or own.band_hz, tones_hz=self.tones_hz or own.tones_hz)
 
-    def _chosen(self, tried: Candidates, controller: StateSpace, allowed: float | None) -> ReducedLaw:
+    def _chosen(self, tried: Candidates, controller: StateSpace) -> ReducedLaw:
         nu, ny = controller.D.shape
-        most = controller.states
+        most, allowed = controller.states, self.loss
         if self.budget is not None:
             fitting = largest_order(self.budget, ny, nu)
             if fitting < 0:
@@ -197,26 +188,18 @@ class ClosedLoopWeighted:
         return best
 
 
-def _with_enough(
-    result: ReductionResult, tried: Candidates, controller: StateSpace, judge: Judge | None
-) -> ReductionResult:
+def _with_enough(result: ReductionResult, tried: Candidates, controller: StateSpace, judge: Judge) -> ReductionResult:
     """Return a reduction that lost the loop or broke a promise with the number of states that would have been enough.
 
     It is the fewest that projections need, to a sixtieth of the full law's; `details["enough"]` holds it.
     """
-    lost = result.status.word is StatusWord.UNSTABLE
-    if not (lost or result.broken):
+    if not (result.status.word is StatusWord.UNSTABLE or result.broken):
         return result
-    few, near = result.controller.states, max(1, controller.states // NEAR)
-    if judge is None:
-        best = _fewest(tried, controller, lambda trial: bool(np.isfinite(trial.cost)), few, near)
-        kept = "the loop stable"
-    else:
-        best, kept = _fewest_that_keep(tried, controller, judge, few, near), "all that was promised"
+    best = _fewest_that_keep(tried, controller, judge, result.controller.states, max(1, controller.states // NEAR))
     if best.system.states >= controller.states:
-        said = f"By projection no fewer than all {controller.states} states keep {kept}."
+        said = f"By projection no fewer than all {controller.states} states keep all that was promised."
     else:
-        said = f"By projection {best.system.states} states keep {kept}."
+        said = f"By projection {best.system.states} states keep all that was promised."
     status = Status(result.status.word, f"{result.status.sentence} {said}")
     return replace(result, status=status, details={**result.details, "enough": best.system.states})
 

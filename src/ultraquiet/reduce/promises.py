@@ -38,12 +38,13 @@ class Promise:
     margin_share: float = MARGIN_SHARE
 
     @classmethod
-    def of(cls, controller: StateSpace, plant: StateSpace, loss_db: float = LOSS_DB) -> "Promise | None":
-        """Return what a law's own design stated for this plant; None for a law that was not designed from it."""
-        made = controller.provenance
-        if plant.hash not in made.parents:
-            return None
-        band, tones = made.settings.get("band_hz"), made.settings.get("tones_hz") or ()
+    def of(cls, controller: StateSpace, loss_db: float = LOSS_DB) -> "Promise":
+        """Return a promise over the band and at the tones that a law's design stated; of neither where it stated none.
+
+        Whether it was designed from the plant at hand does not matter: what it does for that loop is to be kept.
+        """
+        stated = controller.provenance.settings
+        band, tones = stated.get("band_hz"), stated.get("tones_hz") or ()
         return cls(None if band is None else (float(band[0]), float(band[1])), tuple(map(float, tones)), loss_db)
 
 
