@@ -14,6 +14,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.cli.exits.codes import ExitCode, exit_code
 from ultraquiet.deploy import generate, generate_fixed, word_lengths
 from ultraquiet.deploy.law.coordinates import balanced
+from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.values import Channel, StateSpace
 
 F_HZ = np.geomspace(0.5, 1700.0, 60)
@@ -210,12 +211,20 @@ def test_a_loop_that_rounding_upsets_is_refused(tmp_path, monkeypatch, capsys):
 
 
 def test_code_of_a_law_that_is_unstable_by_itself_is_written_and_said_to_be(tmp_path):
-    """A plant that is unstable may need such a law; without that loop it is not ok, and the command ends with one."""
-    law = StateSpace([[1.1]], [[0.1]], [[0.1]], [[0.0]], RATE_HZ)
+    """A plant may need such a law; without a loop that holds it it is not ok, and the command ends with one."""
+    law = StateSpace([[1.1]], [[1.0]], [[-0.5]], [[0.0]], RATE_HZ)
     status = generate(law, tmp_path / "code").status
     assert (status.word, exit_code(status)) == ("unstable", ExitCode.NOT_OK)
     assert "The controller itself is unstable" in status.sentence
     assert (tmp_path / "code" / "manifest.json").exists()
+    plant = StateSpace([[0.3]], [[1.0]], [[1.0]], [[0.0]], RATE_HZ)
+    held = generate(law, tmp_path / "held", plant=plant).status
+    print(held)
+    assert held.ok
+    assert "The controller itself is unstable" in held.sentence
+    said = analyse_loop(plant, law, (1.0, 50.0)).status
+    print(said)
+    assert "The controller is unstable by itself" in said.sentence
 
 
 @pytest.mark.skipif(os.name != "posix", reason="the compilers are shell scripts")

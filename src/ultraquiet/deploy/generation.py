@@ -184,19 +184,19 @@ class _LawMaker:
         )
         more = "precision='float64'" if law.precision == "float32" else "another design"
         require_stable(law.state_space(), controller, self.plant, what, delta + more)
-        plant = self.plant
+        plant, runaway = self.plant, ""
         if not controller.is_stable():
             where = "to its limits" if np.isfinite(law.known_limits).all() else "to whatever ends it"
-            return Status(
-                StatusWord.UNSTABLE, f"The controller itself is unstable: it runs {where} whenever the loop opens."
-            )
+            runaway = f"The controller itself is unstable: it runs {where} whenever the loop opens."
+            if plant is None:  # no loop is known that holds it
+                return Status(StatusWord.UNSTABLE, runaway)
         more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
         what = "the response" if plant is None else "the loop's sensitivity"
         word = StatusWord.OK if choice.error <= self.options.tolerance else StatusWord.INEXACT
         sentence = (
             f"Rounding to {law.precision} in {law.form} form{more} changes {what} by {choice.error:.1e} of its size."
         )
-        return Status(word, sentence)
+        return Status(word, f"{sentence} {runaway}".rstrip())
 
 
 def _maker(

@@ -11,7 +11,7 @@ from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
 from ultraquiet.analyse.margins import even_sensitivity
 from ultraquiet.analyse.plant_scale import even_plant
-from ultraquiet.design.robustness import DISK_MARGIN, WIDEST, both_ends, kept
+from ultraquiet.design.robustness import DISK_MARGIN, UNSTABLE_LAW, WIDEST, both_ends, kept
 from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_of_scaled
 from ultraquiet.values.channel import ratio
 from ultraquiet.values.state_space import StateSpace
@@ -121,7 +121,8 @@ def analyse_loop(
     }
     status = _verdict(plant, margins, peaks["S"], gang.stable, asked)
     if gang.stable:
-        status = Status(status.word, f"{status.sentence} {worst.sentences}")
+        law = [] if controller.is_stable() else [f"The controller is {UNSTABLE_LAW}."]
+        status = Status(status.word, " ".join([status.sentence, *law, worst.sentences]))
     slowest = _slowest(even_sensitivity(plant, controller, "output"))
     return LoopAnalysis(
         status,

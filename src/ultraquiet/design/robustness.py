@@ -15,6 +15,7 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 DISK_MARGIN = 0.2  # 1.7 dB or 11 degrees in every channel at once; several times what calibrated channels drift
+UNSTABLE_LAW = "unstable by itself: it runs away where its loop is opened or an actuator saturates for long"
 WIDEST = 2.0  # a disk of this size holds every gain from zero to infinity
 
 

@@ -9,13 +9,11 @@ from ultraquiet._base.shown.line import counted, fall, hertz, rounded
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
-from ultraquiet.design.robustness import StatedRobustness, both_ends, fragility, keeps, stated
+from ultraquiet.design.robustness import UNSTABLE_LAW, StatedRobustness, both_ends, fragility, keeps, stated
 from ultraquiet.design.worst_direction import design_band, worst_direction
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
-
-UNSTABLE_LAW = "unstable by itself: it runs away where its loop is opened or an actuator saturates for long"
 
 
 def judged(
