@@ -2,15 +2,20 @@
 
 import numpy as np
 import pytest
-from one_mode import RATE_HZ, difference, one_mode
+from one_mode import POLE, RATE_HZ, difference, one_mode
 
 import ultraquiet as uq
 from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import feedback
 
 
 def gap_bench(offset, noise):
     """One mode, newtons in, a gap in micrometres out, far from the middle of its sensor."""
     return one_mode(of="µm", offset=offset, noise=noise)
+
+
+def proportional(gain):
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[gain]], RATE_HZ)
 
 
 @pytest.mark.slow
@@ -29,8 +34,7 @@ def test_an_offset_hides_no_growth():
 
 
 def test_an_offset_that_drives_a_command_to_its_limit_is_named():
-    proportional = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.3]], RATE_HZ)
-    check = uq.simulate.check_stability(gap_bench(60.0, 1e-3), proportional, 2.0)
+    check = uq.simulate.check_stability(gap_bench(60.0, 1e-3), proportional(-0.3), 2.0)
     print(check.status)
     assert check.status.word != "ok"
     assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
@@ -45,6 +49,28 @@ def test_what_an_offset_heaps_up_is_no_growth():
     assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
     within = uq.simulate.check_stability(gap_bench(6.0, 1e-3), lagging, 30.0)
     assert within.status.word == "ok"
+
+
+def test_what_a_law_of_two_lags_heaps_up_is_no_growth():
+    """Behind two slow lags what an offset drives grows as time squared, far below half of it half the time before."""
+    a = 0.9995
+    twice = StateSpace([[a, 0.0], [1.0, a]], [[1.0], [0.0]], [[0.0, -1.5e-7]], [[0.0]], RATE_HZ)
+    check = uq.simulate.check_stability(gap_bench(60.0, 1e-3), twice, 8.0)
+    print(check.status)
+    assert check.status.word == "not known"
+
+
+@pytest.mark.parametrize("offset", [0.05, 0.5])
+def test_growth_that_an_offset_drives_to_its_limits_is_known(offset):
+    """However weak the burst, the step of the offset grows until a command stands at its limit: that is the growth."""
+    law, later = proportional(-0.95), StateSpace([[0.0]], [[1.0]], [[-0.95]], [[0.0]], RATE_HZ)  # this bench is late
+    p = POLE
+    plant = StateSpace([[p.real, -p.imag], [p.imag, p.real]], [[0.1], [0.0]], [[0.0, 1.0]], [[0.0]], RATE_HZ)
+    truth = RATE_HZ * np.log(np.abs(feedback(plant, later).poles()).max())
+    check = uq.simulate.check_stability(gap_bench(offset, 1e-3), law, 8.0)
+    print(f"{check.status} Truth: {truth:.3f} per s")
+    assert check.status.word == "unstable"
+    assert abs(check.growth_per_s - truth) < 4 * check.growth_std_per_s
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ RAISES, RAISED_BY, NEAR = 8, 30.0, 1.5
 COLOURS_PER_OCTAVE = 3
 KAISER = 14.0  # of the mean of what rings yet: little of a tone that decays is left in it
 AT_FIRST = 8  # samples in which noise has driven commands and the loop has not grown yet
+FROM_NOISE = 0.2  # of a command at its limit, that noise has there where it is what drives it
 HALF = 0.45  # of what commands reach, that half the time before is less where they grow
 
 
@@ -102,19 +103,21 @@ class FreeResponse:
 
     @property
     def rise(self) -> float:
-        """By how much commands grew from the first samples until one stands at its limit, over the root of the time.
+        """By how much noise in the commands grew from the first samples until one stands at its limit, over root time.
 
-        What an offset heaps up is no growth, however much it is: half the way there it is half as large or more.
+        Of two runs without a burst. What an offset heaps up is the same in both and no growth, however much it is; nor
+        is what noise does where half the way there it is half as large or more.
         """
         rises = [0.0]
+        noise = (self.runs[0].inputs - self.runs[1].inputs) / 2
+        begun = np.sqrt(np.mean(noise[:, :AT_FIRST] ** 2, axis=1))
         for run in self.runs:
             first = np.flatnonzero(stands_at_limits(run.inputs, run.actuators).any(axis=0))
-            begun = np.sqrt(np.mean(run.inputs[:, :AT_FIRST] ** 2, axis=1))
             if first.size and first[0] > AT_FIRST:
-                there = np.abs(run.inputs[:, first[0]])
+                there = np.abs(noise[:, first[0]])
                 halfway = first[0] // 2 + np.arange(-AT_FIRST // 2, AT_FIRST // 2)
-                by_then = np.sqrt(np.mean(run.inputs[:, halfway] ** 2, axis=1))
-                heard = (begun > 0) & (by_then < HALF * there)
+                by_then = np.sqrt(np.mean(noise[:, halfway] ** 2, axis=1))
+                heard = (begun > 0) & (by_then < HALF * there) & (there > FROM_NOISE * np.abs(run.inputs[:, first[0]]))
                 rises += list(there[heard] / begun[heard] / np.sqrt(first[0] / AT_FIRST))
         return float(max(rises))
 
@@ -135,6 +138,18 @@ class FreeResponse:
     def until(self, samples: int) -> "FreeResponse":
         """Return its first samples; `runs` stay as they are."""
         return replace(self, response=self.response[:, :samples], noise=self.noise[:, :samples])
+
+    @property
+    def of_offset(self) -> "FreeResponse":
+        """Return what both runs have in common from their first sample on, without a burst what an offset sets going.
+
+        The offset stands there from one sample to the next, a step that the loop answers as it answers a burst; where
+        it begins is left out.
+        """
+        a, b = (_after(run, 0) for run in self.runs)
+        both = (a + b) / 2
+        early = both[:, : max(1, self.before_limits // 2)]
+        return replace(self, response=both - early.mean(axis=1, keepdims=True), noise=(a - b) / 2)
 
     def hums_at(self, f_hz: float) -> bool:
         """Return whether the bench hums at a frequency without a law too, as far as the record tells two apart."""

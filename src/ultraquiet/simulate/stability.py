@@ -22,6 +22,7 @@ from ultraquiet.simulate.growth.verdict import (
     apart,
     grows,
     judged,
+    may_drift,
     told,
 )
 from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
@@ -39,6 +40,8 @@ BURSTS, SHORTEST_BURST = 16, 4096
 ABOVE_NOISE, QUIETEST = 100.0, 1e-3
 # Noise that a stable loop heaps up grows as the root of the samples: so many times that within few is growth.
 HEAPED = 10.0
+# What swings so often while it grows is no drift, and not what an offset heaps up behind slow lags.
+TURNS = 3.0
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
 SLOW = 10.0
 
@@ -207,12 +210,14 @@ def _at_limits(
     """
     free = found.until(found.before_limits)
     samples = free.response.shape[1]
-    heard = ringing(free.response, free.noise, bench.rate_hz).modes if samples >= SHORTEST_SAMPLES else ()
-    growing = next((mode for mode in heard if grows(mode, free)), None)
+    growing = next((mode for mode in _modes(bench, free) if grows(mode, free)), None)
     seen = judged(bench, found)
     if growing is not None:
         return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing))
     alone = kicked(bench, law, replace(burst, levels=0.0 * burst.levels))
+    growing = None if found.hums_hz else _growth_from_an_offset(bench, alone)
+    if growing is not None:
+        return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing))
     share = _share(free) if samples else np.inf
     # a hum heaps up in proportion to time, so that its rise says nothing of the loop
     grown = alone.rise > HEAPED and not found.hums_hz
@@ -224,6 +229,27 @@ def _at_limits(
     alone_says = f"{hum or _what_drives(bench)} alone drives a command to its limit"
     sentence = f"{alone_says}, where it stays for {found.limited:.0%} of the last quarter."
     return replace(seen, word=None, mode=mode, sentence=sentence)
+
+
+def _growth_from_an_offset(bench: Bench, alone: FreeResponse) -> Mode | None:
+    """Return the mode that offsets set growing without a burst, long before a command stands at its limit.
+
+    Not asked where the bench hums: two hums that are near each other beat, and that looks like growth for a while.
+    """
+    whole = alone.of_offset
+    step = whole.until(whole.before_limits)
+    span = step.response.shape[1] / bench.rate_hz
+
+    def is_no_drift(mode: Mode) -> bool:
+        return mode.f_hz * span > TURNS or not may_drift(mode, step)
+
+    return next((mode for mode in _modes(bench, step) if grows(mode, step) and is_no_drift(mode)), None)
+
+
+def _modes(bench: Bench, free: FreeResponse) -> tuple[Mode, ...]:
+    """Return the modes of a free response, none where it is too short."""
+    enough = free.response.shape[1] >= SHORTEST_SAMPLES
+    return ringing(free.response, free.noise, bench.rate_hz).modes if enough else ()
 
 
 def _what_drives(bench: Bench) -> str:
