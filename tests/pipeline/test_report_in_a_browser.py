@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shutil
+import statistics
 import subprocess
 import time
 from pathlib import Path
@@ -104,15 +105,14 @@ def test_it_is_small_and_every_number_stands_in_it_once(report):
 
 
 def test_it_opens_at_once(opened):
-    """The quickest of five: what else a machine does is added to the others, and takes nothing away."""
     took = []
     for _ in range(5):
         page = opened(drawn=False)
         page.wait_for_function("document.querySelectorAll('.uplot').length > 0")
         took.append(page.evaluate("performance.timing.loadEventEnd - performance.timing.navigationStart") / 1e3)
         page.close()
-    print(f"opens in {min(took):.2f} s, of {sorted(took)}")
-    assert min(took) < OPENS_S
+    print(f"opens in {statistics.median(took):.2f} s, of {sorted(took)}")
+    assert statistics.median(took) < OPENS_S
 
 
 GEOMETRY = """() => [...Uq.figures].map(f => {
