@@ -54,8 +54,11 @@ def test_states_leave_in_steps_where_a_projection_loses_the_loop(rng):
     assert in_steps >= at_once
 
 
-def test_too_few_states_say_how_many_are_enough(rng):
+@pytest.mark.parametrize("bare", [False, True])
+def test_too_few_states_say_how_many_are_enough(rng, bare):
     plant, law = designed(rng, 12, 3)
+    if bare:  # without the word of its design
+        law = StateSpace(law.A, law.B, law.C, law.D, law.rate_hz)
     few = ClosedLoopWeighted(states=8, steps=0).reduce(law, plant)
     enough = few.details["enough"]
     print(few.status)

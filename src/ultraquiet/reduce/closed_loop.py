@@ -176,16 +176,11 @@ class ClosedLoopWeighted:
         return best if np.isfinite(best.cost) else min(best, tried.in_steps(count), key=lambda c: c.cost)
 
     def _fewest(self, tried: Candidates, most: int, allowed: float) -> ReducedLaw:
-        """Return the fewest states within the allowed loss, by bisection (the loss falls with the states, nearly)."""
-        low, high, best = -1, most, self._at(tried, most, allowed)
-        while high - low > 1 and best.cost <= 1 + allowed:
-            middle = (low + high) // 2
-            trial = tried.projected(middle)
-            if trial.cost <= 1 + allowed:
-                high, best = middle, trial
-            else:
-                low = middle
-        return best
+        """Return the fewest states within the allowed loss (it falls with the states, nearly)."""
+        best = self._at(tried, most, allowed)
+        if best.cost > 1 + allowed:
+            return best
+        return _bisected(tried, best, most, lambda trial: bool(trial.cost <= 1 + allowed))
 
 
 def _with_enough(result: ReductionResult, tried: Candidates, controller: StateSpace, judge: Judge) -> ReductionResult:
@@ -212,7 +207,8 @@ def _fewest_that_keep(
     def quickly(trial: ReducedLaw) -> bool:
         return bool(np.isfinite(trial.cost)) and not judge.broken(judge.of(trial.system, margins=False))
 
-    best = _fewest(tried, controller, quickly, few, near)
+    most = controller.states
+    best = _bisected(tried, tried.projected(most), most, quickly, few, near)
     high, step = best.system.states, max(1, controller.states // STEPS_UP)
     while high < controller.states and not (np.isfinite(best.cost) and not judge.broken(judge.of(best.system))):
         high = min(high + step, controller.states)
@@ -220,11 +216,11 @@ def _fewest_that_keep(
     return best
 
 
-def _fewest(
-    tried: Candidates, controller: StateSpace, enough: Callable[[ReducedLaw], bool], few: int, near: int
+def _bisected(
+    tried: Candidates, best: ReducedLaw, most: int, enough: Callable[[ReducedLaw], bool], few: int = -1, near: int = 1
 ) -> ReducedLaw:
-    """Return the projection to the fewest states that do, more than `few` of them, found by bisection to `near`."""
-    low, high, best = few, controller.states, tried.projected(controller.states)
+    """Return the projection to the fewest states that do, more than `few` of them, found to `near`; `best` has most."""
+    low, high = few, most
     while high - low > near:
         middle = (low + high) // 2
         trial = tried.projected(middle)

@@ -141,15 +141,16 @@ class FreeResponse:
 
     @property
     def of_offset(self) -> "FreeResponse":
-        """Return what both runs have in common from their first sample on, without a burst what an offset sets going.
+        """Return what both runs have in common from their first sample until a command first stands at its limit.
 
-        The offset stands there from one sample to the next, a step that the loop answers as it answers a burst; where
-        it begins is left out.
+        Without a burst that is what an offset sets going: it is there all at once, a step that the loop answers as it
+        answers a burst. The mean of the first half, about which it swings, is left out.
         """
         a, b = (_after(run, 0) for run in self.runs)
-        both = (a + b) / 2
-        early = both[:, : max(1, self.before_limits // 2)]
-        return replace(self, response=both - early.mean(axis=1, keepdims=True), noise=(a - b) / 2)
+        whole = replace(self, response=(a + b) / 2, noise=(a - b) / 2)
+        free = whole.until(whole.before_limits)
+        early = whole.response[:, : free.response.shape[1] // 2 + 1]  # one sample where it stands there at once
+        return replace(free, response=free.response - early.mean(axis=1, keepdims=True))
 
     def hums_at(self, f_hz: float) -> bool:
         """Return whether the bench hums at a frequency without a law too, as far as the record tells two apart."""

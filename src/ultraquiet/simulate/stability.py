@@ -236,8 +236,7 @@ def _growth_from_an_offset(bench: Bench, alone: FreeResponse) -> Mode | None:
 
     Not asked where the bench hums: two hums that are near each other beat, and that looks like growth for a while.
     """
-    whole = alone.of_offset
-    step = whole.until(whole.before_limits)
+    step = alone.of_offset
     span = step.response.shape[1] / bench.rate_hz
 
     def is_no_drift(mode: Mode) -> bool:
