@@ -1,5 +1,6 @@
 """Loops drawn at random whose slowest pair has a modulus that is asked for, as benches."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,10 +102,12 @@ class LinearBench:
     """What `wrapped` makes, stepped by compiled code and under laws without memory alone: a minute in milliseconds.
 
     `hum`: size, Hz and offset of what every reading holds besides, in its unit; the phase is another one in every run.
+    `dead`: force below which no actuator moves.
     """
 
     real_time = False
     hum = (0.0, 0.0, 0.0)
+    dead = 0.0
 
     def __init__(self, A, B, C, noise, rng, limits):
         self._plant, self._noise, self._rng = (A, B, C), noise, rng
@@ -112,6 +115,11 @@ class LinearBench:
         self.actuators, self.sensors = wires(B.shape[1], C.shape[0], limits)
         ny, nu = C.shape[0], B.shape[1]
         self._open = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), np.zeros((nu, ny)), RATE_HZ)
+
+    @property
+    def modes_hz(self):
+        """The plant's own frequencies."""
+        return np.abs(np.angle(np.linalg.eigvals(self._plant[0])[::2])) * RATE_HZ / (2 * np.pi)
 
     def noise(self, samples):
         """Return what readings hold besides, `(samples, ny)`."""
@@ -134,13 +142,16 @@ class LinearBench:
         noise = noise + offset
         low, high = (np.array([getattr(c, end) for c in self.actuators]) for end in ("low", "high"))
         given = [np.ascontiguousarray(x) for x in (*self._plant, law.D, u.T, d.T, noise, low, high)]
-        commands, readings = stepped(*given)
+        commands, readings = stepped(*given, self.dead)
         return uq.Record(commands.T, readings.T, self.rate_hz, self.actuators, self.sensors)
 
 
 @compiled
-def stepped(A, B, C, K, u, d, noise, low, high):  # pragma: no cover - compiled
-    """Return commands and readings, `(samples, nu)` and `(samples, ny)`: y = C x + e, x = A x + B (held + d)."""
+def stepped(A, B, C, K, u, d, noise, low, high, dead):  # pragma: no cover - compiled
+    """Return commands and readings, `(samples, nu)` and `(samples, ny)`: y = C x + e, x = A x + B (held + d).
+
+    What is less than `dead` of held + d does nothing, and so much of what is more.
+    """
     samples, nu = u.shape
     ny, n = C.shape
     commands, readings = np.zeros((samples, nu)), np.zeros((samples, ny))
@@ -157,7 +168,9 @@ def stepped(A, B, C, K, u, d, noise, low, high):  # pragma: no cover - compiled
             for j in range(n):
                 total += A[i, j] * state[j]
             for j in range(nu):
-                total += B[i, j] * (held[j] + d[k, j])
+                force = held[j] + d[k, j]
+                if abs(force) > dead:
+                    total += B[i, j] * (force - math.copysign(dead, force))
             following[i] = total
         state[:] = following
         for i in range(nu):

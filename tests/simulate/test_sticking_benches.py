@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drawn_loops import RATE_HZ, drawn_loop
 from one_mode import ANGLE, difference, one_mode
 
 import ultraquiet as uq
@@ -36,3 +37,42 @@ def test_growth_that_is_slow_beside_the_dead_zone_is_seen_in_any_unit():
         words.append(check.status.word)
         assert check.growth_per_s == pytest.approx(0.186, abs=4 * check.growth_std_per_s)
     assert words == ["unstable"] * 3
+
+
+@pytest.mark.gate("0.003-2", "-0.003-2")
+@pytest.mark.parametrize(("apart", "loops"), [(0.003, 2), (-0.003, 2), (0.01, 40), (0.003, 40), (-0.003, 40)])
+def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart, loops, rng):
+    false_ok = false_unstable = at_limits = unknown = 0
+    for _ in range(loops):
+        loop = drawn_loop(rng, 1 + apart, noise=10.0 ** rng.integers(-5, -1))
+        limit = loop.bench.actuators[0].high
+        loop.bench.dead = rng.choice([0.01, 0.03, 0.05, 0.1]) * limit
+        left = what_tones_leave(loop, rng)
+        word = uq.simulate.check_stability(loop.bench, loop.law).status.word
+        at_limits += left >= limit
+        false_ok += left >= limit and word == "ok"
+        false_unstable += left < loop.bench.dead and apart < 0 and word == "unstable"
+        unknown += word == "not known"
+    print(
+        f"{loops} loops, {at_limits} thrown to their limits: {false_ok} false ok, {false_unstable} false unstable, "
+        f"{unknown} not known"
+    )
+    assert false_ok == false_unstable == 0
+    assert at_limits > 0 or apart < 0  # saturation holds a stable loop there as well
+
+
+def what_tones_leave(loop, rng):
+    """Return the largest command at the end of a minute, after the loudest tones within half of the ranges."""
+    allowed = np.array([c.high / 2 for c in (*loop.bench.sensors, *loop.bench.actuators)])
+    left = 0.0
+    for f_hz in (loop.f_hz, *loop.bench.modes_hz):
+        d = np.zeros((len(loop.bench.actuators), 60_000))
+        turned = 2 * np.pi * f_hz / RATE_HZ * np.arange(2000) + rng.uniform(0, 2 * np.pi, (len(d), 1))
+        d[:, :2000] = loop.bench.actuators[0].high / 2 * np.sin(turned)
+        over = 2.0
+        while over > 1.0:
+            run = disturb(loop.bench, d, loop.law)
+            over = float(np.max(np.abs(np.vstack([run.outputs, run.inputs])[:, :2000]).max(axis=1) / allowed))
+            d *= 0.7
+        left = max(left, float(np.abs(run.inputs[:, -2000:]).max()))
+    return left

@@ -203,15 +203,14 @@ def _band_modes(
     z = _realised(b, e, floor)
     if not z.size:
         return []
-    full = z.size == MOST_MODES  # there are more than can be told apart in a record so short
     floor = max(floor, RESOLUTION * float(np.abs(b).max()))
-    z, c, deviation = _refined(z, b, e, floor)
+    if z.size < MOST_MODES:
+        z, c, deviation = _refined(z, b, e, floor)
+    else:  # there are more than can be told apart in a record so short
+        c, deviation = _fitted(z, b, np.arange(b.shape[1]))[0], np.full(z.size, np.inf)
     step = np.arange(b.shape[1])
     rest = b - c @ _powers(z, step)
-    found = [
-        (_mode(frames, line, z[i], c[:, i], np.inf if full else deviation[i], (e, rest), floor), z[i])
-        for i in range(z.size)
-    ]
+    found = [(_mode(frames, line, z[i], c[:, i], deviation[i], (e, rest), floor), z[i]) for i in range(z.size)]
     # what is further away than this many lines the next band has, and better
     return [mode for mode, pole in found if mode is not None and abs(turned(frames, line, pole)) <= within * np.pi / 2]
 

@@ -211,10 +211,12 @@ def loudest(bench: Bench, law: StateSpace | Controller, length: int, samples: in
 
 
 def louder(bench: Bench, law: StateSpace | Controller, burst: Burst) -> tuple[Burst, FreeResponse]:
-    """Return a burst and its response, or the next louder ones as long as commands leave their limits again.
+    """Return a burst that was raised to the share of the ranges that it may use at most, and its response.
 
-    Each is twice the one before, up to half of the ranges where the loop answers in proportion: then one more at most.
+    Where the loop makes little of that, or sticks, each next one is twice as loud, as long as commands leave their
+    limits again.
     """
+    burst = replace(burst, levels=AT_MOST / USED_RANGE * burst.levels)
     found = kicked(bench, law, burst)
     for _ in range(RAISES):
         if found.limited > 0 or _rise(bench, found, burst.levels) * AT_MOST < 2 * USED_RANGE:

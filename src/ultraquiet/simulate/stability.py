@@ -23,6 +23,7 @@ from ultraquiet.simulate.growth.verdict import (
     grows,
     judged,
     may_drift,
+    rises,
     told,
 )
 from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
@@ -87,11 +88,12 @@ def check_stability(
     second half of the record are fitted, y_t = sum c_i exp((a_i + 2 pi i f_i) t). The loop is
 
     * unstable when one a_i exceeds zero by four standard deviations, or commands stay at their limits; also where that
-      is so after a loud burst and not, in proportion, after a weaker one, as where something sticks (`sticking.py`);
+      is so after loud bursts, tones at the slowest modes among them, and not, in proportion, after weaker ones, as
+      where something sticks (`sticking.py`);
     * ok when everything was followed down to the noise, decaying: from a third of the channels' ranges, and where that
       takes longer than the record, again from near the noise;
-    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does, or a
-      command still ramps under a law that integrates (`ramps.py`).
+    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does, what a
+      loud burst set going rings on, or a command still ramps under a law that integrates (`ramps.py`).
 
     Offsets count for nothing. A tone that the bench holds without the law as well, mains or a drift, is none of the
     loop's where a burst at its frequency stands well above it and dies (`growth/outside.py`).
@@ -167,7 +169,8 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, burst: Bu
             return _before_limits(bench, law, burst, seen, before or _so_far(bench, found))
         burst, seen = _told_from_outside(bench, law, burst, found, first)
         enough = seen.word is StatusWord.OK and samples > first
-        enough |= seen.word is StatusWord.UNSTABLE and not seen.slow
+        # growth that something louder drowns may be an overtone of what decays by another rate at every size
+        enough |= seen.word is StatusWord.UNSTABLE and not seen.slow and (samples >= longest or rises(found))
         if enough:
             return seen
         if samples >= longest:

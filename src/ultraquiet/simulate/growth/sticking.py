@@ -5,22 +5,29 @@ loop, stable or not, answers in proportion for as long as no channel stands at i
 after one burst, and was nowhere near them at the same time after one a little weaker, grows by itself in between.
 """
 
+import math
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
 from ultraquiet._base.errors import InterlockError
 from ultraquiet.bench import Bench
+from ultraquiet.simulate.free_response import VISIBLE
 from ultraquiet.simulate.growth.lowered import within_limits
-from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, Seen, judged
-from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, ranges
+from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, LONGER, Seen, apart, decaying_before, judged, loudness
+from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, ranges, tones_alone
 from ultraquiet.values import Record, StateSpace, StatusWord
 from ultraquiet.values.channel import stands_at_limits
 from ultraquiet.values.controller import Controller
 
 # Both bursts differ by less than this in the end, after so many in between; out of proportion is so many times more.
 NEAR, BETWEEN, OUT_OF_PROPORTION = 1.3, 6, 3.0
+# Modes that are given a tone of their own; they decay by less than this in e-folds within a burst.
+MOST_ALONE, RINGS = 6, 100.0
 JUST_BEFORE = 16  # samples before a command first stands at its limit
+# Of what a burst set going, nothing to speak of; of what it was three eighths of a record before, less.
+DEAD, FALLING = 0.01, 0.5
 _Heard = tuple[Burst, FreeResponse]
 
 
@@ -28,29 +35,103 @@ def sticking(bench: Bench, law: StateSpace | Controller, bursts: Bursts, seen: S
     """Return the verdict on a loop that was `seen` to decay and yet grows after a louder burst, or None.
 
     `bursts` are those that fill their share of the ranges; each is raised further where the loop, sticking, made it
-    small. One that a guard ends says nothing.
+    small. After them comes a tone at each of the slowest modes: of a broadband burst little stays in a mode that rings
+    for longer than the burst, perhaps less than what sticks. One that a guard ends says nothing.
     """
-    for burst in (bursts.white, bursts.coloured):
+    for burst in (bursts.white, bursts.coloured, *_tones(bench, bursts.white, seen)):
         known = replace(burst, hums_hz=seen.record.hums_hz, outside_hz=seen.record.outside_hz)
         try:
-            loud = louder(bench, law, known)
+            begun = tones_alone(bench, law, known, known.modes_hz) if known.modes_hz else known
+            grown = _grown(bench, law, louder(bench, law, begun), seen)
         except InterlockError as error:
             if error.of_time:
                 raise
             continue
-        again = judged(bench, loud[1])
-        if loud[1].limited > CLIPPED_SHARE:
-            again = _at_limits(bench, law, loud, again)
-        if again is not None and again.word is StatusWord.UNSTABLE and not again.slow:
-            return again
+        if grown is not None:
+            return grown
     return None
 
 
+def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen) -> Seen | None:
+    """Return what a loud burst sets going that does not die, None where it dies.
+
+    What decays by another rate at every size looks like other modes that grow, for a while: growth is believed where
+    ever longer records show it, up to the one in which the loop was `seen` to decay, or where it ends at the limits.
+    """
+    burst, found = loud
+    while found.limited <= CLIPPED_SHARE:
+        again = judged(bench, found)
+        if again.word is StatusWord.OK or _dies(found):
+            return None
+        if burst.samples >= _longest(seen):
+            grows = again.word is StatusWord.UNSTABLE and not again.slow
+            return again if grows else None if _falls(found, seen) else _rings_on(bench, burst, again)
+        burst, found = _watched_longer(bench, law, burst, seen)
+    return _at_limits(bench, law, (burst, found), seen)
+
+
+def _longest(seen: Seen) -> int:
+    return seen.record.response.shape[1]
+
+
+def _watched_longer(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: Seen) -> _Heard:
+    longer = replace(burst, samples=min(_longest(seen), LONGER * burst.samples))
+    return longer, kicked(bench, law, longer)
+
+
+def _dies(found: FreeResponse) -> bool:
+    """Return whether a response is down to its noise, or to little of its beginning and falling still."""
+    eighths = loudness(found, 8)
+    return bool(eighths[-1] <= max(VISIBLE, DEAD * eighths[0] * (eighths[-1] < FALLING * eighths[4])))
+
+
+def _falls(found: FreeResponse, seen: Seen) -> bool:
+    """Return whether a response falls in the later half of its record, or has modes too slow for that."""
+    eighths = loudness(found, 8)
+    later_s = 3 / 8 * _longest(seen) / found.runs[0].rate_hz
+    slow = seen.mode is not None and -seen.mode.growth_per_s * later_s < -math.log(FALLING)
+    return slow or bool(eighths[-1] < FALLING * eighths[4])
+
+
+def _rings_on(bench: Bench, burst: Burst, again: Seen) -> Seen:
+    sentence = f"After a burst of {_size(bench, burst)} it rings on, and hardly falls in the later half of the record."
+    return replace(again, word=None, sentence=sentence)
+
+
+def _tones(bench: Bench, burst: Burst, seen: Seen) -> list[Burst]:
+    """Return a burst for each of the slowest modes that ring for about as long as a burst, or longer."""
+    rate = bench.rate_hz
+    heard = chain(seen.modes, decaying_before(seen.record, rate))
+    slow = (mode.f_hz for mode in heard if -mode.growth_per_s * burst.length < RINGS * rate)
+    return [replace(burst, modes_hz=(f,)) for f in apart(slow, rate / burst.length)[:MOST_ALONE]]
+
+
 def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen) -> Seen | None:
-    """Return growth of what stays at its limits out of proportion to a burst a little weaker, which dies."""
-    weak = within_limits(bench, law, *loud)
-    if weak[1].limited > CLIPPED_SHARE:
-        return None
+    """Return growth of what stays at its limits out of proportion to a burst a little weaker, which dies.
+
+    A loop that grows slowly takes longer to its limits the nearer its burst is to the weakest that sets it going.
+    """
+    while loud[1].limited > CLIPPED_SHARE:
+        weak = within_limits(bench, law, *loud)
+        if weak[1].limited > CLIPPED_SHARE:
+            return None
+        loud, weak = _nearer(bench, law, loud, weak)
+        times = OUT_OF_PROPORTION * _ratio(loud, weak)
+        if any(_out_of_proportion(*runs, times) for runs in zip(loud[1].runs, weak[1].runs, strict=True)):
+            sentence = (
+                f"After a burst of {_size(bench, loud[0])} commands stay at their limits, out of proportion to one of "
+                f"{_size(bench, weak[0])}, after which it dies: something sticks, and the loop grows where that gives "
+                "way."
+            )
+            return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence, record=loud[1])
+        if loud[0].samples >= _longest(seen):
+            break
+        loud = _watched_longer(bench, law, loud[0], seen)
+    return None  # a stable loop may stay at its limits once it is there
+
+
+def _nearer(bench: Bench, law: StateSpace | Controller, loud: _Heard, weak: _Heard) -> tuple[_Heard, _Heard]:
+    """Return both bursts nearer to each other, one after which commands stay at their limits and one that dies."""
     for _ in range(BETWEEN):
         if _ratio(loud, weak) < NEAR:
             break
@@ -60,14 +141,7 @@ def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: S
             loud = between, heard
         else:
             weak = between, heard
-    times = OUT_OF_PROPORTION * _ratio(loud, weak)
-    if not any(_out_of_proportion(*runs, times) for runs in zip(loud[1].runs, weak[1].runs, strict=True)):
-        return None  # a stable loop may stay at its limits once it is there
-    sentence = (
-        f"After a burst of {_size(bench, loud[0])} commands stay at their limits, out of proportion to one of "
-        f"{_size(bench, weak[0])}, after which it dies: something sticks, and the loop grows where that gives way."
-    )
-    return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence)
+    return loud, weak
 
 
 @np.errstate(over="ignore")  # over nothing at all

@@ -1,10 +1,13 @@
 """What one record of a loop's free response says of its stability."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.free_response import Mode, ringing
+from ultraquiet.simulate.free_response import ROUNDING, Mode, ringing
 from ultraquiet.simulate.growth.together import powers, rise
 from ultraquiet.simulate.kick import FreeResponse, near
 from ultraquiet.values import StatusWord
@@ -85,6 +88,20 @@ def grows(mode: Mode, record: FreeResponse) -> bool:
     return mode.grows and (mode.seen * efolds > ADDED or too_fast or not record.hums_at(mode.f_hz))
 
 
+def rises(record: FreeResponse) -> bool:
+    """Return whether a response becomes louder towards its end."""
+    before, last = loudness(record, 4)[2:]
+    return bool(last > before)
+
+
+def loudness(record: FreeResponse, parts: int) -> FloatArray:
+    """Return the rms of a response over its noise in every equal part of the record, `(parts,)`."""
+    powers = np.array([np.mean(part**2, axis=1) for part in np.array_split(record.response, parts, axis=1)])
+    heard = powers.max(axis=0) > 0
+    unit = np.maximum(np.mean(record.noise**2, axis=1), ROUNDING * powers.max(axis=0))
+    return np.sqrt(np.sum(powers[:, heard] / unit[heard], axis=1) / max(len(unit), 1))
+
+
 def may_drift(mode: Mode, record: FreeResponse) -> bool:
     """Return whether readings that wander may look like a mode's growth in one record."""
     return at_rest(mode, record) and (_efolds(mode, record) < UNDRIFTED or mode.seen < ABOVE_DRIFT)
@@ -101,14 +118,16 @@ def _efolds(mode: Mode, record: FreeResponse) -> float:
 
 def slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
     """Return the slowest mode of a response that died within its record, from its shorter beginning."""
+    return next(decaying_before(record, rate_hz), None)
+
+
+def decaying_before(record: FreeResponse, rate_hz: float) -> Iterator[Mode]:
+    """Yield the modes that decay within ever shorter beginnings of a record, the slowest of each first."""
     samples = record.response.shape[1] // 2
     while samples >= SHORTEST_SAMPLES:
         modes = ringing(record.response[:, :samples], record.noise[:, :samples], rate_hz).modes
-        known = next((mode for mode in modes if mode.decays), None)  # what only rises at first is no mode
-        if known is not None:
-            return known
+        yield from (mode for mode in modes if mode.decays)  # what only rises at first is no mode
         samples //= 2
-    return None
 
 
 def told(mode: Mode) -> str:
