@@ -6,7 +6,6 @@ import io
 import json
 import re
 import shutil
-import statistics
 import subprocess
 import time
 from pathlib import Path
@@ -21,7 +20,7 @@ from page_geometry import WATCH, faults
 from ultraquiet.pipeline import load_study, walk
 
 pytestmark = [pytest.mark.web, pytest.mark.slow]
-MOST_BYTES, MOST_STILL_BYTES, OPENS_S = 4_000_000, 60_000, 1.0
+MOST_BYTES, MOST_STILL_BYTES = 4_000_000, 60_000
 STUDIES = ("demo", "two-masses", "four-by-three")
 # Quantities that are numbers by themselves.
 BARE = ("order",)
@@ -104,15 +103,14 @@ def test_it_is_small_and_every_number_stands_in_it_once(report):
     assert len(set(data.values())) == len(data)
 
 
-def test_it_opens_at_once(opened):
-    took = []
-    for _ in range(5):
-        page = opened(drawn=False)
-        page.wait_for_function("document.querySelectorAll('.uplot').length > 0")
-        took.append(page.evaluate("performance.timing.loadEventEnd - performance.timing.navigationStart") / 1e3)
-        page.close()
-    print(f"opens in {statistics.median(took):.2f} s, of {sorted(took)}")
-    assert statistics.median(took) < OPENS_S
+def test_what_is_not_in_view_is_not_drawn_at_opening(opened):
+    """How long opening takes, which this keeps short, is measured by the benchmark `report_page`."""
+    page = opened(drawn=False)
+    page.wait_for_function("document.querySelectorAll('.uplot').length > 0")
+    page.wait_for_timeout(500)
+    drawn, all_of_them = page.evaluate("[[...Uq.figures].filter(f => f.visible).length, [...Uq.figures].length]")
+    print(f"{drawn} of {all_of_them} figures are drawn at opening")
+    assert 0 < drawn < all_of_them
 
 
 GEOMETRY = """() => [...Uq.figures].map(f => {

@@ -56,7 +56,7 @@ def test_full_six_by_six_controller_keeps_its_promise_or_says_what_is_lost():
     stable = feedback(plant, plain.controller).is_stable()
     print(f"{kept.status}\n{short.status}\nplain truncation to 60 is {'' if stable else 'un'}stable")
     assert kept.status.ok
-    assert (short.status.word, "the worst direction in the band loses" in short.status.sentence) == ("loss", True)
+    assert (short.status.word, "the worst direction in the band falls" in short.status.sentence) == ("loss", True)
     assert all(uq.analyse.peak_sensitivity(plant, small.controller)[0] < 8.0 for small in (kept, short))
 
 

@@ -112,17 +112,12 @@ class Judge:
         if after.peak_db - before.peak_db > loss:
             said.append(f"the peak rises from {before.peak_db:.1f} to {after.peak_db:.1f} dB")
         if before.band_db is not None and after.band_db is not None and 0 < before.band_db > after.band_db + loss:
-            lost = before.band_db - after.band_db
-            said.append(f"the worst direction in the band loses {lost:.1f} of {before.band_db:.1f} dB")
+            said.append(_fall("the worst direction in the band", before.band_db, after.band_db))
         for tone, reduction in before.tones_db.items():
             if 0 < reduction > after.tones_db[tone] + loss:
-                said.append(
-                    f"the worst direction at {tone:g} Hz loses {reduction - after.tones_db[tone]:.1f} of"
-                    f" {reduction:.1f} dB"
-                )
+                said.append(_fall(f"the worst direction at {tone:g} Hz", reduction, after.tones_db[tone]))
         if 0 < before.rms_db > after.rms_db + loss:
-            lost = before.rms_db - after.rms_db
-            said.append(f"the RMS of the readings under disturbances loses {lost:.1f} of {before.rms_db:.1f} dB")
+            said.append(_fall("the RMS of the readings under disturbances", before.rms_db, after.rms_db))
         if after.control_db - before.control_db > loss:
             said.append(f"the largest gain of the control rises by {after.control_db - before.control_db:.1f} dB")
         for end, alpha in after.disk.items():
@@ -135,6 +130,10 @@ class Judge:
             low, high = self.promise.band_hz
             return (f >= low) & (f <= high)
         return np.interp(f, self._f, np.asarray(self._quiet, dtype=np.float64)) == 1.0
+
+
+def _fall(what: str, before_db: float, after_db: float) -> str:
+    return f"the reduction of {what} falls from {before_db:.1f} to {after_db:.1f} dB"
 
 
 def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:

@@ -130,9 +130,7 @@ def _joined(opened: OpenLoop, parts: list[BandLines]) -> MeasuredSensitivity:
     f, S = _all_lines(parts)
     bench = opened.bench
     if not f.size:
-        advice = "raise the sensors' gain or lower their noise"
-        if not np.isfinite([*ranges(bench.actuators), *ranges(bench.sensors)]).all():
-            advice = f"give each channel its low and high: without them readings are kept to {LOUD:g} times their noise"
+        advice = _louder(bench) or "raise the sensors' gain or lower their noise"
         raise UnheardError(f"measure_sensitivity: noise hides every line; {advice}.")
     ny, nu = len(bench.sensors), len(bench.actuators)
     reached = counted(nu, "actuator reaches", "actuators reach")
@@ -148,5 +146,12 @@ def _joined(opened: OpenLoop, parts: list[BandLines]) -> MeasuredSensitivity:
         closed_y,
         deviation,
         f"{reached} {nu} of {ny} directions of the sensors; in the others no law does anything." if nu < ny else "",
+        louder=_louder(bench),
         rings=any(part.rings for part in parts),
     )
+
+
+def _louder(bench: Bench) -> str:
+    if np.isfinite([*ranges(bench.actuators), *ranges(bench.sensors)]).all():
+        return ""
+    return f"give each channel its low and high: without them readings are kept to {LOUD:g} times their noise"

@@ -33,6 +33,7 @@ class MeasuredSensitivity:
         below: sentence on what S may do under the lowest line; empty where it falls there, or lines were asked for.
         unheard: sentence on the range of the sweeps in which there are no lines, as the open loop is not heard there;
             empty where there are, or lines were asked for.
+        louder: what would let hidden lines be heard; empty where nothing but the bench itself would.
         rings: whether a run ended before it had come to rest; what that leaves open counts as noise does.
     """
 
@@ -43,6 +44,7 @@ class MeasuredSensitivity:
     reach: str = ""
     below: str = ""
     unheard: str = ""
+    louder: str = ""
     rings: bool = False
 
     @property
@@ -107,9 +109,11 @@ class MeasuredSensitivity:
         said = f"All {band.sum()} lines were resolved." if band.sum() > 1 else "The line was resolved."
         if hidden.any():
             what = "Noise, or what still rings when a run ends," if self.rings else "Noise"
+            n, low, high = int(hidden.sum()), f[hidden].min(), f[hidden].max()
+            where, they = (f"{low:.4g} Hz", "it is") if n == 1 else (f"{low:.4g} to {high:.4g} Hz", "they are")
             said = (
-                f"{what} hides {hidden.sum()} of {counted(int(band.sum()), 'line')}, {f[hidden].min():.4g} to "
-                f"{f[hidden].max():.4g} Hz; they are counted at the bound it leaves."
+                f"{what} hides {n} of {counted(int(band.sum()), 'line')}, {where}; {they} counted at the bound that "
+                f"this leaves.{f' To hear more, {self.louder}.' if self.louder else ''}"
             )
         outside = self.unheard if low_hz < f[0] or high_hz > f[-1] else ""
         return " ".join(filter(None, (said, self.below if low_hz < f[0] else "", outside)))
