@@ -120,8 +120,8 @@ def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: S
         if any(_out_of_proportion(*runs, times) for runs in zip(loud[1].runs, weak[1].runs, strict=True)):
             sentence = (
                 f"After a burst of {_size(bench, loud[0])} commands stay at their limits, out of proportion to one of "
-                f"{_size(bench, weak[0])}, after which it dies: something sticks, and the loop grows where that gives "
-                "way."
+                f"{_size(bench, weak[0])}, after which it dies: the bench does more for a loud command, as where "
+                "something sticks until it gives way, and there the loop grows."
             )
             return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence, record=loud[1])
         if loud[0].samples >= _longest(seen):
