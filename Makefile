@@ -7,6 +7,8 @@
 # make test-docs     the examples of README, docs and docstrings
 # make docs         the documentation as a site in docs/_build/html: built with -W, links checked, search works offline
 # make test-web      the pages: what a browser is given
+# make lint          style, types and the contracts between rooms
+# make kernels       set everything up and compile, once, what tests and study run
 # `demo` and `test` need only Python >= 3.11 and make; after the first run they work offline.
 PYTHON ?= python3
 OUT ?= demo
@@ -23,7 +25,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(abspath $(VENV))/bytecode
 KERNELS := $(shell grep -rlE "njit|^@compiled" src --include=*.py)
 
-.PHONY: demo test test-demo test-long test-fresh test-kernels docs test-docs test-web lint bench format lock clean
+.PHONY: demo test test-demo test-long test-fresh test-kernels docs test-docs test-web lint kernels bench format lock clean
 
 demo: $(VENV)/run.stamp
 	$(BIN)/ultraquiet demo --out $(OUT) $(ARGS)
@@ -58,6 +60,8 @@ lint: $(VENV)/dev.stamp
 	$(BIN)/ruff format --no-cache --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+
+kernels: $(VENV)/kernels.stamp
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix .
