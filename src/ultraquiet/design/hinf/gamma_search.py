@@ -79,8 +79,9 @@ def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | N
         else:
             best = level
         widths.append(best.gamma / max(low, nought))
-    proofs = [t.gamma for t in tried if t.reason and t.gamma > certain and riccati.is_proof(plant, t)]
-    return Bracket(best, low, reason, len(tried), certain, nought, max(proofs, default=certain))
+    failed = sorted((t for t in tried if t.reason and t.gamma > certain), key=lambda t: -t.gamma)
+    proven = next((t.gamma for t in failed if riccati.is_proof(plant, t)), certain)
+    return Bracket(best, low, reason, len(tried), certain, nought, proven)
 
 
 def _blur(level: riccati.Level) -> float:
