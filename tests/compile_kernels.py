@@ -74,6 +74,7 @@ def benches_and_adaptive_laws():
     bench.run(u)
     bench.run(u, controller=StateSpace(np.zeros((1, 1)), np.zeros((1, 6)), np.zeros((6, 1)), np.zeros((6, 6)), 3500.0))
     plant = damped_plant(1)
+    uq.bench.LinearBench(plant).run(np.zeros((len(plant.B.T), 50)))
     tones = {"tones_hz": (60.0,), "limit": 10.0}
     for method in (AdaptiveFeedforward(**tones), YoulaKucera(**tones), FilteredXLms(taps=20, limit=10.0)):
         law = method.design(plant).law

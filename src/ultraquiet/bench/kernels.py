@@ -66,6 +66,18 @@ def clip(values, limits, into, counts):
 
 
 @compiled
+def hold(values, low, high, into):
+    """Put values into `into`, limited; what is not a number stays so."""
+    for i in range(values.size):
+        value = values[i]
+        if value < low[i]:
+            value = low[i]
+        elif value > high[i]:
+            value = high[i]
+        into[i] = value
+
+
+@compiled
 def slip(thresholds, weights, anchors, values):
     """Send the leading values through plays: each anchor is dragged along once its value is a threshold away.
 
@@ -141,3 +153,46 @@ def loop(plant, law, code, signals, limits, state, xk, results):
         clip(asked, sent, held, sent_met)
         for i in range(asked.size):
             command[k, i] = held[i] + 0.0 * asked[i]  # no number where none was asked for
+
+
+@compiled
+def linear_loop(plant, law, limits, signals, state, results):
+    """Run a linear plant and a linear law on from `state`; return before which sample the law had no finite answer.
+
+    Signals and results are `(samples, channels)`, matrices laid out as in `loop`. plant = (A, B, C, D, whether D acts),
+    law = (A, B, C, D), limits = (lower and upper of commands, lower and upper of readings), signals = (actuation,
+    disturbance, gain of whatever is sent), state = (x, state of the law, held commands), results = (commands before
+    their limits, readings, the law's last answer), all of them filled here.
+    """
+    (A, A_first, A_end), (B, B_first, B_end), C, D, direct = plant
+    (KA, KA_first, KA_end), (KB, KB_first, KB_end), KC, KD = law
+    low, high, least, most = limits
+    actuation, disturbance, gain = signals
+    x, xk, held = state
+    asked, readings, answer = results
+    driven, y = np.empty(held.size), np.empty(least.size)
+    work, workk = np.empty(x.size), np.empty(xk.size)
+    for k in range(len(actuation)):
+        for i in range(held.size):
+            driven[i] = held[i] + disturbance[k, i]
+            answer[i] = 0.0
+        for i in range(y.size):
+            y[i] = 0.0
+        if direct:
+            add_wide_product(C, x, y)
+            add_wide_product(D, driven, y)
+        advance(A, A_first, A_end, B, B_first, B_end, x, driven, work)
+        if not direct:
+            add_wide_product(C, x, y)
+        hold(y, least, most, y)
+        for i in range(y.size):
+            readings[k, i] = y[i]
+        add_wide_product(KC, xk, answer)
+        add_wide_product(KD, y, answer)
+        advance(KA, KA_first, KA_end, KB, KB_first, KB_end, xk, y, workk)
+        for i in range(answer.size):
+            if not np.isfinite(answer[i]):
+                return k
+            asked[k, i] = gain[k] * (actuation[k, i] + answer[i])
+        hold(asked[k], low, high, held)
+    return len(actuation)

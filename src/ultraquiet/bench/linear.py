@@ -8,8 +8,11 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant
-from ultraquiet.values import Channel, StateSpace
+from ultraquiet.bench.columns import spanned, turned
+from ultraquiet.bench.stepped import AsOne, Setup, Stepped, SteppedPlant
+from ultraquiet.values import Channel, Controller, StateSpace
+from ultraquiet.values.controller import SteppedController
+from ultraquiet.values.interconnect import gain
 
 WHO = "LinearBench.run"
 
@@ -35,6 +38,7 @@ class LinearBench(Stepped):
 
     model: StateSpace
     real_time: ClassVar[bool] = False
+    run_block: ClassVar[int | None] = 4096
 
     def __post_init__(self) -> None:
         if self.model.rate_hz is None:
@@ -70,22 +74,48 @@ class LinearBench(Stepped):
 
 
 class _Linear(SteppedPlant):
-    """The model, one sample on."""
+    """The model, one sample on, or many at once with a linear law."""
 
     def __init__(self, model: StateSpace) -> None:
-        self.model, self._direct = model, bool(np.any(model.D))
-        self._x = np.zeros(model.states)
-        self._low, self._high = (np.array([getattr(c, end) for c in model.sensors]) for end in ("low", "high"))
+        self.model, self.direct = model, bool(np.any(model.D))
+        self.x = np.zeros(model.states)
+        self.low, self.high = (np.array([getattr(c, end) for c in model.sensors]) for end in ("low", "high"))
 
     def start(self, run_index: int) -> None:
-        self._x = np.zeros(self.model.states)
+        self.x[:] = 0.0
 
     def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
         m, e = self.model, u + d
-        if self._direct:
-            y = m.C @ self._x + m.D @ e
-            self._x = m.A @ self._x + m.B @ e
+        if self.direct:
+            y = m.C @ self.x + m.D @ e
+            self.x[:] = m.A @ self.x + m.B @ e
         else:  # what was sent a sample ago is what the model calls its input then
-            self._x = m.A @ self._x + m.B @ e
-            y = m.C @ self._x
-        return np.minimum(np.maximum(y, self._low), self._high)  # a third of the time of `np.clip`
+            self.x[:] = m.A @ self.x + m.B @ e
+            y = m.C @ self.x
+        return np.minimum(np.maximum(y, self.low), self.high)  # a third of the time of `np.clip`
+
+    def as_one(self, law: Controller | None) -> "_LinearLoop | None":
+        if law is None:
+            return _LinearLoop(self, gain(np.zeros(self.model.D.shape[::-1]), self.model.rate_hz))
+        return _LinearLoop(self, law.law) if type(law) is SteppedController else None
+
+
+class _LinearLoop(AsOne):
+    """A model and a linear law, compiled; its twin is one `step` of each after the other."""
+
+    def __init__(self, plant: _Linear, law: StateSpace) -> None:
+        m = plant.model
+        self._plant = spanned(m.A), spanned(m.B), turned(m.C), turned(m.D), plant.direct
+        self._law = spanned(law.A), spanned(law.B), turned(law.C), turned(law.D)
+        self._x, self._of_law = plant.x, np.zeros(law.states)
+        self._readings = plant.low, plant.high
+
+    def __call__(
+        self, held: FloatArray, u: FloatArray, d: FloatArray, gain: FloatArray, limits: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        from ultraquiet.bench.kernels import linear_loop
+
+        asked, heard, answer = np.empty_like(u), np.empty((len(u), self._readings[0].size)), np.empty_like(held)
+        ends, state = (*limits, *self._readings), (self._x, self._of_law, held)
+        done = linear_loop(self._plant, self._law, ends, (u, d, gain), state, (asked, heard, answer))
+        return asked[:done], heard[:done], answer if done < len(u) else None

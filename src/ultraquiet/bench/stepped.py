@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +28,28 @@ from ultraquiet.values.channel import at_limits
 Stop = Callable[[], bool]
 
 
+class AsOne(Protocol):
+    """Plant and law as one, which keeps where both stand."""
+
+    def __call__(
+        self, held: FloatArray, u: FloatArray, d: FloatArray, gain: FloatArray, limits: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Run over a block.
+
+        Args:
+            held: the command of the sample before, `(nu,)`; changed into the last one of the block.
+            u: what is added to the law's answer, `(samples, nu)`.
+            d: what is added to the command, `(samples, nu)`.
+            gain: of what is sent, `(samples,)`.
+            limits: lower and upper of the commands.
+
+        Returns:
+            Commands before their limits `(samples, nu)`, readings `(samples, ny)`, both as far as the law had finite
+            answers, and the answer that was not.
+        """
+        ...
+
+
 class SteppedPlant:
     """What the loop drives. A plant overrides `step`, and whatever else it can do better than here."""
 
@@ -42,6 +64,10 @@ class SteppedPlant:
         """Yield the readings of the samples from `k` on whose `u` and `d`, `(nu, m)`, are all known beforehand."""
         for j in range(u.shape[1]):
             yield self.step(u[:, j], d[:, j], k + j)
+
+    def as_one(self, law: Controller | None) -> "AsOne | None":
+        """Return what runs plant and law, or the plant alone, over a whole block; None where each sample is asked."""
+        return None
 
     def overruns(self) -> int:
         """Return how many frames came too late since this was asked last."""
@@ -68,6 +94,8 @@ class Setup:
 class Stepped:
     """What all benches around a stepped plant share: `run` is `stream`, put together."""
 
+    run_block: ClassVar[int | None] = None  # samples of a block of `run`, where 50 ms are too few to begin with
+
     @property
     def provenance(self) -> Provenance:
         """Who measures: the bench's name and settings."""
@@ -84,7 +112,8 @@ class Stepped:
         run_index: int | None = None,
     ) -> Record:
         """Return the record of one run from rest; see `Bench.run`. `run_index` numbers it for the plant."""
-        return recorded(self, self.stream(actuation, disturbance, controller, run_index=run_index))
+        whole_run = self.stream(actuation, disturbance, controller, run_index=run_index, block_samples=self.run_block)
+        return recorded(self, whole_run)
 
     def stream(
         self,
@@ -128,6 +157,7 @@ class Loop:
         self.held_command = np.zeros(len(u))
         self.k, self.end = 0, u.shape[1]
         self.faded = False
+        self.as_one = setup.plant.as_one(law)
 
     @classmethod
     def of(cls, setup: Setup, actuation: ArrayLike, disturbance: ArrayLike | None, controller: Any | None) -> "Loop":
@@ -143,23 +173,37 @@ class Loop:
         self.gain[self.k :] = fade(self.gain.size - self.k, ramp_samples)
         self.faded = True
 
-    def take(self, samples: int) -> tuple[Block | None, BaseException | None]:
-        """Run up to `samples` further samples: what was measured, and what broke them off."""
+    def take(self, most: int) -> tuple[Block | None, BaseException | None]:
+        """Run up to `most` further samples: what was measured, and what broke them off."""
         start, error = self.k, None
-        m = min(samples, self.end - start)
+        m = min(most, self.end - start)
         requested, y = np.zeros((len(self.u), m)), np.zeros((len(self.setup.sensors), m))
         try:
             # One by one even in open loop, so that `self.k` always says how much was measured.
-            for _ in (
-                self._open(requested, y, start) if self.law is None else self._closed(self.law, requested, y, start)
-            ):
-                self.k += 1
+            for samples in self._samples(requested, y, start):
+                self.k += samples
         except BaseException as caught:  # an interrupt, too, must bring the plant to rest before anything else
             error = caught
         done = self.k - start
         return (self._block(requested[:, :done], y[:, :done]) if done else None), error
 
-    def _open(self, requested: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
+    def _samples(self, requested: FloatArray, y: FloatArray, start: int) -> Iterator[int]:
+        if self.as_one is not None:
+            return self._together(self.as_one, requested, y, start)
+        return self._open(requested, y, start) if self.law is None else self._closed(self.law, requested, y, start)
+
+    def _together(self, as_one: AsOne, requested: FloatArray, y: FloatArray, start: int) -> Iterator[int]:
+        now = slice(start, start + y.shape[1])
+        gain = self.gain[now]
+        u, d = (np.ascontiguousarray(signal.T) for signal in (self.u[:, now], gain * self.d[:, now]))
+        asked, heard, wrong = as_one(self.held_command, u, d, gain, (self.low, self.high))
+        done = len(asked)
+        requested[:, :done], y[:, :done] = asked.T, heard.T
+        yield done
+        if wrong is not None:
+            commands(self.setup.who, wrong, wrong.size, start + done)
+
+    def _open(self, requested: FloatArray, y: FloatArray, start: int) -> Iterator[int]:
         now = slice(start, start + y.shape[1])
         requested[:] = self.gain[now] * self.u[:, now]
         formed = np.clip(requested, self.low[:, None], self.high[:, None])
@@ -168,9 +212,9 @@ class Loop:
         for j in range(y.shape[1]):
             y[:, j] = next(readings)
             self.held_command = formed[:, j]
-            yield
+            yield 1
 
-    def _closed(self, law: Controller, requested: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
+    def _closed(self, law: Controller, requested: FloatArray, y: FloatArray, start: int) -> Iterator[int]:
         # Everything here is done thousands of times a second: what is known beforehand is formed for the whole block.
         step, answer, who, nu = self.setup.plant.step, law.step, self.setup.who, len(self.u)
         low, high = self.low, self.high
@@ -182,7 +226,7 @@ class Loop:
             wish = gain[j] * (u[j] + commands(who, answer(y[:, j].copy()), nu, k))
             requested[:, j] = wish
             self.held_command = np.minimum(np.maximum(wish, low), high)
-            yield
+            yield 1
 
     def _block(self, requested: FloatArray, y: FloatArray) -> Block:
         low, high = self.low[:, None], self.high[:, None]
