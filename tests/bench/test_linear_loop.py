@@ -83,6 +83,23 @@ def test_a_law_without_a_finite_answer_is_named_with_the_sample():
     assert "at sample 5 the controller must return 1 finite commands" in said[0][2]
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_compiled_code_runs_in_the_loop_as_it_does_step_by_step(precision, rng, tmp_path):
+    model, law = drawn(rng, 5, 3, 2, False), drawn(rng, 4, 2, 3, True)
+    small = 0.5 / (uq.analyse.hinf_norm(law)[0] * uq.analyse.hinf_norm(model)[0])
+    law = uq.StateSpace(law.A, law.B, small * law.C, small * law.D, RATE_HZ)
+    made = uq.deploy.generate(law, tmp_path, precision, limits_v=1.0)
+    bench, u = uq.bench.LinearBench(model), rng.standard_normal((2, 2000))
+    found, again = (bench.run(u, controller=made.instance()) for _ in range(2))
+    code = made.instance()
+    asked = Asked(law)
+    asked.reset, asked.step = code.reset, code.step
+    twin = bench.run(u, controller=asked)
+    assert found.hash == again.hash
+    np.testing.assert_allclose(found.outputs, twin.outputs, rtol=1e-9, atol=1e-5 if precision == "float32" else 1e-9)
+    assert np.abs(found.inputs - u).max() > 1e-3  # the law does something, by far more than what is let pass
+
+
 def test_a_run_that_is_stopped_fades(rng):
     model = drawn(rng, 3, 2, 2, False)
     law = drawn(rng, 2, 2, 2, True)

@@ -1,8 +1,11 @@
-"""Matrices as the kernels of the sampled loop take them."""
+"""Matrices, and laws of machine code, as the kernels of the sampled loop take them."""
+
+from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.values.controller import MachineStep
 
 Indices = np.ndarray[tuple[int, ...], np.dtype[np.uint64]]
 Spanned = tuple[FloatArray, Indices, Indices]
@@ -27,3 +30,12 @@ def spanned(matrix: FloatArray) -> Spanned:
     first = np.where(some, counts.argmax(axis=1) if rows else 0, 0)
     end = np.where(some, rows - counts[:, ::-1].argmax(axis=1) if rows else 0, 0)
     return columns, first.astype(np.uint64), end.astype(np.uint64)
+
+
+def called(machine: MachineStep | None) -> tuple[Any, ...]:
+    """Return a step of machine code as the kernel calls it; None is the address 0, which is not called."""
+    if machine is None:
+        nothing, nowhere = np.empty(0), np.empty(0, dtype=np.int64)
+        return 0, 0, 0, 0, nothing, nothing, nowhere, nowhere
+    at = machine.readings.ctypes.data, machine.commands.ctypes.data
+    return machine.function, machine.state, *at, machine.readings, machine.commands, machine.reads, machine.drives

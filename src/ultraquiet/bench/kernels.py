@@ -156,16 +156,17 @@ def loop(plant, law, code, signals, limits, state, xk, results):
 
 
 @compiled
-def linear_loop(plant, law, limits, signals, state, results):
+def linear_loop(plant, law, code, limits, signals, state, results):
     """Run a linear plant and a linear law on from `state`; return before which sample the law had no finite answer.
 
     Signals and results are `(samples, channels)`, matrices laid out as in `loop`. plant = (A, B, C, D, whether D acts),
-    law = (A, B, C, D), limits = (lower and upper of commands, lower and upper of readings), signals = (actuation,
-    disturbance, gain of whatever is sent), state = (x, state of the law, held commands), results = (commands before
-    their limits, readings, the law's last answer), all of them filled here.
+    law = (A, B, C, D), code as in `loop`, limits = (lower and upper of commands, lower and upper of readings), signals
+    = (actuation, disturbance, gain of whatever is sent), state = (x, state of the law, held commands), results =
+    (commands before their limits, readings, the law's last answer), all of them filled here.
     """
     (A, A_first, A_end), (B, B_first, B_end), C, D, direct = plant
     (KA, KA_first, KA_end), (KB, KB_first, KB_end), KC, KD = law
+    law_step, law_state, at_readings, at_commands, heard, commands, reads, drives = code
     low, high, least, most = limits
     actuation, disturbance, gain = signals
     x, xk, held = state
@@ -190,6 +191,12 @@ def linear_loop(plant, law, limits, signals, state, results):
         add_wide_product(KC, xk, answer)
         add_wide_product(KD, y, answer)
         advance(KA, KA_first, KA_end, KB, KB_first, KB_end, xk, y, workk)
+        if law_step != 0:
+            for i in range(heard.size):
+                heard[i] = y[reads[i]]
+            call_step(law_step, law_state, at_readings, at_commands)
+            for i in range(commands.size):
+                answer[drives[i]] += commands[i]
         for i in range(answer.size):
             if not np.isfinite(answer[i]):
                 return k

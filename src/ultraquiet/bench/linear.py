@@ -8,10 +8,10 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.bench.columns import spanned, turned
+from ultraquiet.bench.columns import called, spanned, turned
 from ultraquiet.bench.stepped import AsOne, Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel, Controller, StateSpace
-from ultraquiet.values.controller import SteppedController
+from ultraquiet.values.controller import MachineStep, SteppedController
 from ultraquiet.values.interconnect import gain
 
 WHO = "LinearBench.run"
@@ -95,18 +95,23 @@ class _Linear(SteppedPlant):
         return np.minimum(np.maximum(y, self.low), self.high)  # a third of the time of `np.clip`
 
     def as_one(self, law: Controller | None) -> "_LinearLoop | None":
-        if law is None:
-            return _LinearLoop(self, gain(np.zeros(self.model.D.shape[::-1]), self.model.rate_hz))
-        return _LinearLoop(self, law.law) if type(law) is SteppedController else None
+        if type(law) is SteppedController:
+            return _LinearLoop(self, law.law)
+        machine: MachineStep | None = getattr(law, "machine_step", lambda: None)()
+        nu, ny = self.model.D.shape[::-1]
+        if law is not None and (machine is None or machine.channels != (ny, nu)):
+            return None
+        return _LinearLoop(self, gain(np.zeros((nu, ny)), self.model.rate_hz), machine)
 
 
 class _LinearLoop(AsOne):
-    """A model and a linear law, compiled; its twin is one `step` of each after the other."""
+    """A model, a linear law and one of machine code, compiled; its twin is one `step` of each after the other."""
 
-    def __init__(self, plant: _Linear, law: StateSpace) -> None:
+    def __init__(self, plant: _Linear, law: StateSpace, machine: MachineStep | None = None) -> None:
         m = plant.model
         self._plant = spanned(m.A), spanned(m.B), turned(m.C), turned(m.D), plant.direct
         self._law = spanned(law.A), spanned(law.B), turned(law.C), turned(law.D)
+        self._code, self._machine = called(machine), machine
         self._x, self._of_law = plant.x, np.zeros(law.states)
         self._readings = plant.low, plant.high
 
@@ -117,5 +122,5 @@ class _LinearLoop(AsOne):
 
         asked, heard, answer = np.empty_like(u), np.empty((len(u), self._readings[0].size)), np.empty_like(held)
         ends, state = (*limits, *self._readings), (self._x, self._of_law, held)
-        done = linear_loop(self._plant, self._law, ends, (u, d, gain), state, (asked, heard, answer))
+        done = linear_loop(self._plant, self._law, self._code, ends, (u, d, gain), state, (asked, heard, answer))
         return asked[:done], heard[:done], answer if done < len(u) else None

@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench._abstract import checked_controller, checked_law, commands
-from ultraquiet.bench.columns import Spanned, spanned, turned
+from ultraquiet.bench.columns import Spanned, called, spanned, turned
 from ultraquiet.linalg.balance import modal
 from ultraquiet.values import Controller, StateSpace
 from ultraquiet.values.controller import MachineStep
@@ -52,7 +52,7 @@ class CompiledLaw:
         D[:nu, :ny] = law.D
         self._law = spanned(A), spanned(B), turned(C), turned(D)
         self._x = np.zeros(n)
-        self._code, self._machine = _called(machine), machine
+        self._code, self._machine = called(machine), machine
 
     def advance(self, plant: Plant, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
         """Run the loop on over all samples of `signals`."""
@@ -93,15 +93,6 @@ class SteppedLaw:
             kernels.clip(gain[k] * requested, limits.command_v, held, limited[0])
             command[k] = held
             self._k += 1
-
-
-def _called(machine: MachineStep | None) -> tuple[Any, ...]:
-    """Return a step of machine code as the kernel calls it; None is the address 0, which is not called."""
-    if machine is None:
-        nothing, nowhere = np.empty(0), np.empty(0, dtype=np.int64)
-        return 0, 0, 0, 0, nothing, nothing, nowhere, nowhere
-    at = machine.readings.ctypes.data, machine.commands.ctypes.data
-    return machine.function, machine.state, *at, machine.readings, machine.commands, machine.reads, machine.drives
 
 
 def _require_finite(command: FloatArray) -> None:
