@@ -153,3 +153,20 @@ def test_a_pair_that_cancels_is_no_equation_whatever_a_perturbed_one_gives(A):
 def test_poles_far_apart_in_speed_are_no_pair():
     A = np.diag([-1e-7, -1e12])
     np.testing.assert_allclose(np.diag(lyapunov(A, np.eye(2))), [0.5e7, 0.5e-12], rtol=1e-12)
+
+
+def test_a_term_that_is_faint_is_not_the_last_where_a_chain_makes_much_of_it(rng):
+    """y = x1 + 1e-10 x2, x1 gone after a sample, x2 the end of a chain that multiplies: the terms grow again."""
+    length = 8
+    A = np.zeros((length + 1, length + 1))
+    turn = np.linalg.qr(rng.standard_normal((length, length)))[0]  # no other units make the chain a tame one
+    A[1:, 1:] = turn @ (30.0 * np.eye(length, k=1)) @ turn.T
+    C = np.concatenate([[1.0], 1e-10 * turn[:, 0]])[None]
+    X, row = np.zeros(A.shape), C
+    for _ in range(400):
+        X, row = X + row.T @ row, row @ A
+    found, factor = stein(A.T, C.T @ C), stein_factor(A.T, C.T)
+    print(f"{np.trace(X):.6g}, of which {np.trace(found):.6g} was found")
+    assert np.trace(X) > 4  # of which x1 alone makes one
+    for Y in (found, factor @ factor.T):
+        np.testing.assert_allclose(Y, X, atol=1e-4 * X.max())

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import NO_LINE
@@ -30,49 +31,63 @@ def inputs_and_outputs(table: FileTable, inputs: Choice, outputs: Choice) -> Pic
     return picked
 
 
+class _AbsentError(InputError):
+    """A column that a table has not."""
+
+
 def _both(table: FileTable, inputs: Choice, outputs: Choice) -> Picked:
     """Return what is chosen of either side; where nothing can be, of which column is told for both."""
-    picked: list[list[Column]] = []
-    refused: list[str] = []
-    for choice in (inputs, outputs):
-        try:
-            picked.append(chosen(table, choice))
-        except TableError as error:
-            refused += [said for _, said in error.mistakes]
-        except InputError as error:
-            refused.append(str(error))
-    if refused:
-        raise _refusal(table, refused)
-    return picked[0], picked[1]
-
-
-def _refusal(table: FileTable, said: Sequence[str]) -> InputError:
-    several = TableError(f"read_record: '{table.path}'", [(NO_LINE, sentence) for sentence in dict.fromkeys(said)])
-    return several if len(several.mistakes) > 1 else InputError(said[0])
+    into, out = (_looked_up(table, choice) for choice in (inputs, outputs))
+    _refuse(table, [*into.absent, *out.absent], [*into.refused, *out.refused])
+    return into.columns, out.columns
 
 
 def chosen(table: FileTable, choice: Choice) -> list[Column]:
     """Return the columns that a choice names: `"motor,load"`, `"1-2"`, `"data:3-30"`, `["a", "b"]`, `1`."""
+    found = _looked_up(table, choice)
+    _refuse(table, found.absent, found.refused)
+    return found.columns
+
+
+class _LookedUp(NamedTuple):
+    """What a choice names, what of it the table has not, and what else is wrong with it."""
+
+    columns: list[Column]
+    absent: list[str]
+    refused: list[str]
+
+
+def _refuse(table: FileTable, absent: Sequence[str], refused: Sequence[str]) -> None:
+    names = list(dict.fromkeys(f"'{item}'" for item in absent))
+    what = f"column{'s' * (len(names) > 1)} {', '.join(names)}"
+    said = [f"read_record: '{table.path}' has no {what}; it holds {table.describe()}."] if names else []
+    said = list(dict.fromkeys([*said, *refused]))
+    if said:
+        raise TableError(f"read_record: '{table.path}'", [(NO_LINE, sentence) for sentence in said])
+
+
+def _looked_up(table: FileTable, choice: Choice) -> _LookedUp:
     if isinstance(choice, int | str):
         whole = str(choice)
         items = [whole] if _called(table, whole) else whole.split(",")
     else:
         items = [str(item) for item in choice or ()]
-    picked: list[Column] = []
-    refused: list[str] = []
-    for item in items:
+    found = _LookedUp([], [], [])
+    for item in (item.strip() for item in items):
         try:
-            picked += _item(table, item.strip())
+            found.columns.extend(_item(table, item))
+        except _AbsentError:
+            found.absent.append(item)
         except InputError as error:
-            refused.append(str(error))
-    if refused:
-        raise _refusal(table, refused)
-    if not picked:
-        raise InputError(f"read_record: no column was chosen from '{table.path}'; it holds {table.describe()}.")
-    twice = sorted({c.name for c in picked if sum(c is other for other in picked) > 1})
+            found.refused.append(str(error))
+    if found.absent or found.refused:
+        return found
+    if not found.columns:
+        found.refused.append(f"read_record: no column was chosen from '{table.path}'; it holds {table.describe()}.")
+    twice = sorted({c.name for c in found.columns if sum(c is other for other in found.columns) > 1})
     if twice:
-        raise InputError(f"read_record: '{twice[0]}' was chosen twice; name every column once.")
-    return picked
+        found.refused.append(f"read_record: '{twice[0]}' was chosen twice; name every column once.")
+    return found
 
 
 def _called(table: FileTable, item: str) -> list[Column]:
@@ -94,7 +109,7 @@ def _item(table: FileTable, item: str) -> list[Column]:
         return named
     numbers = COLUMNS.fullmatch(item)
     if numbers is None:
-        raise InputError(f"read_record: '{table.path}' has no column '{item}'; it holds {table.describe()}.")
+        raise _AbsentError(item)
     columns = _numbered(table, item, numbers["variable"])
     first, last = int(numbers["first"]), int(numbers["last"] or numbers["first"])
     if not 1 <= first <= last <= len(columns):

@@ -11,6 +11,7 @@ from ultraquiet.linalg.ordered import Array, complex_schur, real_schur
 
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 ROUND_OFF = 1e-16
+CONTRACTED = 0.5  # norm of a power of A from which on its further powers can but take away
 LEAST = 45  # rows and columns of a triangular block that LAPACK solves: halves of fewer cost more than they spare
 OPPOSED = 8 * float(np.finfo(float).eps)  # of the sizes of two eigenvalues: a smaller sum is none
 SOLVED = 1e-8  # of the sizes of the terms; what is left above it means that there was nothing to find
@@ -95,6 +96,8 @@ def lyapunov_both(A: Array, Q: Array, R: Array) -> tuple[Array, Array]:
 def stein(A: Array, Q: Array) -> Array:
     """Solve X = A X A' + Q for stable A by doubling (squared Smith); 2^k terms of the series after k steps.
 
+    Where the powers of A grow so far before they fall that rounding keeps them up, by the bilinear map.
+
     Raises:
         NumericalError: A has an eigenvalue on or outside the unit circle.
     """
@@ -107,17 +110,18 @@ def stein(A: Array, Q: Array) -> Array:
         size = np.linalg.norm(X)
         if not np.isfinite(size):
             break
-        if np.linalg.norm(step) <= ROUND_OFF * size:
+        if _is_last(E, step, size):
             return symmetric(X) * np.outer(d, d)
         E = E @ E
-    raise NumericalError("Stein equation: A has an eigenvalue on or outside the unit circle, so the sum has no limit.")
+    return _mapped(A / np.outer(d, 1 / d), Q / np.outer(d, d)) * np.outer(d, d)
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def stein_factor(A: Array, B: Array) -> Array:
     """Return R `(n, n)` with R R' = A R R' A' + B B' for stable A, by doubling of the factor itself.
 
-    Its singular values hold all digits, counted from the largest, where the root of a solved equation holds half.
+    Its singular values hold all digits, counted from the largest, where the root of a solved equation holds half: such
+    a root is returned where doubling does not come to an end, see `stein`.
 
     Raises:
         NumericalError: A has an eigenvalue on or outside the unit circle.
@@ -134,10 +138,47 @@ def stein_factor(A: Array, B: Array) -> Array:
         if not np.isfinite(size):
             break
         R = np.asarray(np.linalg.qr(np.hstack([R, step]).T, mode="r")).T
-        if np.linalg.norm(step) <= ROUND_OFF * size:
+        if _is_last(E, step, size):
             return np.hstack([R, np.zeros((n, n - R.shape[1]))]) * d[:, None]
         E = E @ E
-    raise NumericalError("Stein equation: A has an eigenvalue on or outside the unit circle, so the sum has no limit.")
+    values, V = np.linalg.eigh(_mapped(A / np.outer(d, 1 / d), (B / d[:, None]) @ (B / d[:, None]).T))
+    return V * np.sqrt(np.maximum(values, 0.0)) * d[:, None]
+
+
+def _mapped(A: Array, Q: Array) -> Array:
+    """Return X = A X A' + Q by the bilinear map to a Lyapunov equation, looked at afterwards.
+
+    With M = (A + I)^-1 it is F X + X F' + 2 M Q M' = 0, F = M (A - I).
+
+    Raises:
+        NumericalError: A has an eigenvalue on or outside the unit circle, or nothing was found.
+    """
+    one = np.eye(len(A))
+    try:
+        if not np.abs(np.linalg.eigvals(A)).max() < 1:
+            raise LinAlgError
+        M = np.linalg.inv(A + one)
+        X = lyapunov(M @ (A - one), 2 * M @ Q @ M.T)
+    except (LinAlgError, NumericalError):
+        raise NumericalError(
+            "Stein equation: A has an eigenvalue on or outside the unit circle, so the sum has no limit."
+        ) from None
+    size = (np.linalg.norm(A) ** 2 + 1) * np.linalg.norm(X) + np.linalg.norm(Q)
+    if not (np.isfinite(size) and np.linalg.norm(A @ X @ A.T - X + Q) <= SOLVED * size):
+        raise NumericalError(
+            f"Stein equation ({len(A)} states): the powers of A grow too far before they fall to be summed."
+        )
+    return X
+
+
+def _is_last(E: Array, step: Array, size: float) -> bool:
+    """Return whether nothing is left of a series after a step by E, the power of A that its terms are apart.
+
+    What follows is sum_i E^i step E'^i, i > 0: of a step of size zero nothing, of a faint one next to nothing as soon
+    as E contracts. Until then a chain of states may make as much of it as of any step before.
+    """
+    left = float(np.linalg.norm(step))
+    return left == 0 or (left <= ROUND_OFF * size and bool(np.linalg.norm(E) <= CONTRACTED))
 
 
 def _balanced(A: Array, Q: Array, who: str) -> tuple[Array, Array, Array]:

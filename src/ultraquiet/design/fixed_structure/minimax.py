@@ -200,8 +200,10 @@ def lowest(
     if not ends:
         return None
     ends = sorted(ends, key=judge if judge is not None and polish is not None else problem.value)
-    polished = [polish(x) if polish else _polished(problem, x, steps, rounds) for x in ends[:CONTINUED]]
-    x = min(polished, key=judge or problem.value)
+    # one that has run away can go no further, however good it is, and is no start for another search
+    free = [x for x in ends if np.linalg.norm(x) < FARTHEST]
+    polished = [polish(x) if polish else _polished(problem, x, steps, rounds) for x in free[:CONTINUED]]
+    x = min([*polished, ends[0]], key=judge or problem.value)
     return x, problem.value(x)
 
 
