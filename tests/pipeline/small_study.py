@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 from ultraquiet import pipeline
 from ultraquiet._base.registry import registered
-from ultraquiet.report import figures
+from ultraquiet.report import stills
 from ultraquiet.values import Channel, Record, StateSpace
 
 RATE_HZ = 500.0
@@ -186,7 +186,8 @@ def child(study: Path, folder: Path, death: int, told: str | None) -> int:
 
 if __name__ == "__main__":
     # A figure touches no file but the report's, and drawing it is most of what a run takes that finds all stages made.
-    figures.draw_small_png = lambda *_, **__: b""
+    stills.draw_small_png = lambda *_, **__: b""
+    stills.MANY = sys.maxsize  # no second process, which would draw in earnest
     with tempfile.TemporaryDirectory() as warm:  # what is imported late would be imported by every child again
         walk(Path(sys.argv[1]), Path(warm) / "out", say=lambda _: None)
     print("ready", flush=True)

@@ -5,6 +5,7 @@ touches the folder is done once for all walks of a siege (`swift`).
 """
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from ultraquiet import pipeline
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import registered
 from ultraquiet.pipeline.stage import Cache
-from ultraquiet.report import figures
+from ultraquiet.report import stills
 from ultraquiet.values import Channel, Record
 
 RATE_HZ = 500.0
@@ -112,7 +113,7 @@ def swift() -> None:
     An outcome is remembered by the whole key of its stage: a stage that took up a false file would have another key,
     and compute.
     """
-    drawn, draw, outcomes, stage = [], figures.draw_small_png, {}, Cache.stage
+    drawn, draw, outcomes, stage = [], stills.draw_small_png, {}, Cache.stage
 
     def first(*given):
         if not drawn:
@@ -129,7 +130,8 @@ def swift() -> None:
 
         return stage(self, name, room, key, compute if writes else remembered, kind, writes)
 
-    figures.draw_small_png, Cache.stage = first, recalled
+    stills.draw_small_png, Cache.stage = first, recalled
+    stills.MANY = sys.maxsize  # no second process, which would draw in earnest
     os.environ["PATH"] = ""
     os.environ.pop("CC", None)
 
