@@ -107,7 +107,7 @@ def stein(A: Array, Q: Array) -> Array:
     for _ in range(DOUBLINGS):
         step = E @ X @ E.T
         X = X + step
-        size = np.linalg.norm(X)
+        size = float(np.linalg.norm(X))
         if not np.isfinite(size):
             break
         if _is_last(E, step, size):
