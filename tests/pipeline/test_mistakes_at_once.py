@@ -78,7 +78,7 @@ ASKED = {
         {4: "rog.py' cannot be read", 7: "lost.toml' cannot be read", 14: "no law 'clam'", 16: "'precision'?"},
     ),
     "columns": (FILES, [('"u2"', '"ux"'), ("y2", "yx")], {8: "no column 'ux'", 9: "no column 'yx'"}),
-    "several of a side": (FILES, [("y1, y2", "yp, yq")], {9: ("no column 'yp'", "no column 'yq'")}),
+    "several of a side": (FILES, [("y1, y2", "yp, yq")], {9: "no columns 'yp', 'yq'"}),
     "files": (
         FILES,
         [("one.csv", "one.foo"), ("two.csv", "none.csv")],

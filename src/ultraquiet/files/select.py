@@ -38,14 +38,16 @@ class _AbsentError(InputError):
 def _both(table: FileTable, inputs: Choice, outputs: Choice) -> Picked:
     """Return what is chosen of either side; where nothing can be, of which column is told for both."""
     into, out = (_looked_up(table, choice) for choice in (inputs, outputs))
-    _refuse(table, [*into.absent, *out.absent], [*into.refused, *out.refused])
+    # each side is told by itself, as it may stand in a line of its own; of an empty table there is one thing to say
+    sides = [into, out] if table.columns else [_LookedUp([], [*into.absent, *out.absent], [])]
+    _refuse(table, [sentence for side in sides for sentence in _mistakes(table, side)])
     return into.columns, out.columns
 
 
 def chosen(table: FileTable, choice: Choice) -> list[Column]:
     """Return the columns that a choice names: `"motor,load"`, `"1-2"`, `"data:3-30"`, `["a", "b"]`, `1`."""
     found = _looked_up(table, choice)
-    _refuse(table, found.absent, found.refused)
+    _refuse(table, _mistakes(table, found))
     return found.columns
 
 
@@ -57,13 +59,16 @@ class _LookedUp(NamedTuple):
     refused: list[str]
 
 
-def _refuse(table: FileTable, absent: Sequence[str], refused: Sequence[str]) -> None:
-    names = list(dict.fromkeys(f"'{item}'" for item in absent))
+def _mistakes(table: FileTable, found: _LookedUp) -> list[str]:
+    names = list(dict.fromkeys(f"'{item}'" for item in found.absent))
     what = f"column{'s' * (len(names) > 1)} {', '.join(names)}"
     said = [f"read_record: '{table.path}' has no {what}; it holds {table.describe()}."] if names else []
-    said = list(dict.fromkeys([*said, *refused]))
+    return [*said, *found.refused]
+
+
+def _refuse(table: FileTable, said: Sequence[str]) -> None:
     if said:
-        raise TableError(f"read_record: '{table.path}'", [(NO_LINE, sentence) for sentence in said])
+        raise TableError(f"read_record: '{table.path}'", [(NO_LINE, one) for one in dict.fromkeys(said)])
 
 
 def _looked_up(table: FileTable, choice: Choice) -> _LookedUp:
