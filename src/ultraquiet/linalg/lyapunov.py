@@ -103,7 +103,8 @@ def stein(A: Array, Q: Array) -> Array:
     """
     if A.shape[0] == 0:
         return np.zeros((0, 0))
-    E, X, d = _balanced(A, Q, "Stein")
+    A, Q, d = _balanced(A, Q, "Stein")
+    E, X = A, Q
     for _ in range(DOUBLINGS):
         step = E @ X @ E.T
         X = X + step
@@ -113,7 +114,7 @@ def stein(A: Array, Q: Array) -> Array:
         if _is_last(E, step, size):
             return symmetric(X) * np.outer(d, d)
         E = E @ E
-    return _mapped(A / np.outer(d, 1 / d), Q / np.outer(d, d)) * np.outer(d, d)
+    return _mapped(A, Q) * np.outer(d, d)
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -130,8 +131,9 @@ def stein_factor(A: Array, B: Array) -> Array:
     if n == 0:
         return np.zeros((0, 0))
     _finite(A, B, "Stein")
-    E, d = _evened(A)
-    R = B / d[:, None]
+    A, d = _evened(A)
+    B = B / d[:, None]
+    E, R = A, B
     for _ in range(DOUBLINGS):
         step = E @ R
         size = np.hypot(np.linalg.norm(R), np.linalg.norm(step))
@@ -141,7 +143,7 @@ def stein_factor(A: Array, B: Array) -> Array:
         if _is_last(E, step, size):
             return np.hstack([R, np.zeros((n, n - R.shape[1]))]) * d[:, None]
         E = E @ E
-    values, V = np.linalg.eigh(_mapped(A / np.outer(d, 1 / d), (B / d[:, None]) @ (B / d[:, None]).T))
+    values, V = np.linalg.eigh(_mapped(A, B @ B.T))
     return V * np.sqrt(np.maximum(values, 0.0)) * d[:, None]
 
 
