@@ -91,3 +91,67 @@ def test_a_zero_of_the_plant_is_none_of_these(rng):
     assert "a zero of the plant" in found.statuses[0][1].sentence
     dead = [uq.Record(r.inputs, np.vstack([r.outputs[:1], rng.standard_normal((1, 2000))]), 100.0) for r in records]
     assert uq.identify.identify_matrix(method, dead).status.word == "poor fit"
+
+
+def on_disk(record, path):
+    with uq.files.LongWriter(path, record.rate_hz, len(record.actuators), len(record.sensors)) as writer:
+        writer.append(record.inputs, record.outputs)
+    return uq.files.LongRecord(path)
+
+
+def with_another(record, rng):
+    other = (x.std() * rng.standard_normal(x.shape) for x in (record.inputs, record.outputs))
+    return [record, uq.Record(*other, 100.0)]
+
+
+# Records in memory, several of them, with a delay that is known, and on disk: each is fitted in a way of its own.
+WAYS = {
+    "several": lambda method, record, _, rng: method.identify(with_another(record, rng)),
+    "delay": lambda method, record, _, rng: type(method)(order=1, delay=[1] * len(record.actuators)).identify(record),
+    "disk": lambda method, record, path, _: method.identify(on_disk(record, path)),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
+def test_noise_is_called_alike_however_the_record_comes(way, nu, ny, rng, tmp_path):
+    record = uq.Record(1e3 * rng.standard_normal((nu, 3000)), 1e-9 * rng.standard_normal((ny, 3000)), 100.0)
+    found = WAYS[way](uq.identify.Arx(order=1), record, tmp_path / "noise.h5", rng)
+    print(found.fit_percent, [status.word for status in found.statuses])
+    assert {status.word for status in found.statuses} == {"poor fit"}
+
+
+def test_noise_on_disk_is_no_mode(rng, tmp_path):
+    record = uq.Record(rng.standard_normal((2, 3000)), rng.standard_normal((3, 3000)), 100.0)
+    found = uq.identify.Subspace(order=2).identify(on_disk(record, tmp_path / "noise.h5"))
+    assert {status.word for status in found.statuses} == {"poor fit"}
+
+
+def test_what_explodes_when_simulated_is_ok_in_no_way(rng, tmp_path):
+    """A plant that grows by 5 % a sample, held by feedback: what predicts a step of it white simulates nothing."""
+    u, y = np.zeros((2, 1, 2000))
+    for t in range(1, 2000):
+        y[0, t] = 1.05 * y[0, t - 1] + u[0, t - 1] + 0.1 * rng.standard_normal()
+        u[0, t] = rng.standard_normal() - 0.5 * y[0, t]
+    record = uq.Record(u, y, 100.0)
+    for given in (record, [record, record], on_disk(record, tmp_path / "held.h5")):
+        found = uq.identify.Arx(order=1).identify(given)
+        print(found.status)
+        assert found.status.word == "poor fit"
+        assert "unstable" in found.status.sentence
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_faint_answer_is_still_one_however_the_record_comes(way, rng, tmp_path):
+    plant = uq.StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
+
+    def run(u):
+        y = plant.simulate(u)
+        return y + 2 * y.std() * rng.standard_normal(y.shape)
+
+    record = uq.Record(u := rng.standard_normal((1, 3000)), run(u), 100.0)
+    again = uq.Record(u := rng.standard_normal((1, 3000)), run(u), 100.0)
+    method = uq.identify.OutputError(order=1)
+    found = method.identify([record, again]) if way == "several" else WAYS[way](method, record, tmp_path / "f.h5", rng)
+    print(found.fit_percent, found.status)
+    assert found.status.ok

@@ -1,5 +1,7 @@
 """Whether inputs explain more of an output than chance would, and the verdict where they do not."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
@@ -7,6 +9,8 @@ from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Status, StatusWord
+
+TINY = float(np.finfo(float).tiny)
 
 
 def explained(y: FloatArray, error: FloatArray) -> float:
@@ -29,10 +33,16 @@ def explained(y: FloatArray, error: FloatArray) -> float:
     return explained_of(sums, 0, 1)
 
 
+def explained_together(sets: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Return the share that stands for several pairs of `explained`: the information that inputs hold adds up."""
+    told = sum(y.size * np.log(max(1.0 - explained(y, error), TINY)) for y, error in sets)
+    return float(1.0 - np.exp(told / sum(y.size for y, _ in sets)))
+
+
 def explained_of(sums: Lagged, output: int, error: int) -> float:
     """Return the same from the products of an output and an error among other signals."""
     before, after = (_innovation(sums, channel) for channel in (output, error))
-    return max(0.0, 1.0 - after / max(before, np.finfo(float).tiny))
+    return max(0.0, 1.0 - after / max(before, TINY))
 
 
 def _innovation(sums: Lagged, channel: int) -> float:

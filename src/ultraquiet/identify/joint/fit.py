@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, whole
+from ultraquiet.identify import chance
 from ultraquiet.identify.joint.initial_models import starts
 from ultraquiet.identify.joint.search import JointMinimum, Part, Problem, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.fit import (
@@ -21,6 +22,7 @@ from ultraquiet.identify.prediction_error.fit import (
     TRIAL_STEPS,
     Fit,
     Search,
+    judged,
     simulated,
     verdict,
 )
@@ -28,9 +30,8 @@ from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.model_table import modelled
 from ultraquiet.identify.prediction_error.parameterisation import delta
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST
-from ultraquiet.identify.result import SIGNIFICANCE
+from ultraquiet.identify.result import SIGNIFICANCE, noiseless
 from ultraquiet.linalg import portmanteau, prediction
-from ultraquiet.values import PolynomialModel
 
 LEAST_STARTS = 3  # a residual of too large a noise model can pass in a minimum 3 % too high
 SAME = 1.0  # in the criterion, twice the logarithm of the likelihood: minima nearer than this are one
@@ -146,22 +147,34 @@ def _group_fit(
     problem: Problem, best: JointMinimum, members: list[int], root: FloatArray, how: Search, rate_hz: float, tried: int
 ) -> Fit:
     first = members[0]
-    part = problem.parts[first]
+    part, sets = problem.parts[first], [problem.parts[k].data for k in members]
     evidence = residual_tests(problem, best.residuals, members)
     model = modelled(part.parameterisation, best.tables[first], part.data.gain, rate_hz, float(best.variance[first]))
     local = _to_units(part, problem.places[first].free) @ problem.places[first].map
     spread = local @ root[problem.places[first].index]
+    misses = [data.recorded - np.clip(simulated(data, model, how), data.low, data.high) for data in sets]
+    samples = sum(data.recorded.size for data in sets)
+    power = sum(float(np.sum((data.recorded - data.recorded.mean()) ** 2)) for data in sets) / samples
+    status, silent = judged(
+        noiseless(model.noise_variance / max(power, np.finfo(float).tiny))
+        or verdict(best.state, best.iterations, evidence),
+        model,
+        lambda: chance.explained_together([(data.recorded, miss) for data, miss in zip(sets, misses, strict=True)]),
+        samples,
+        problem.places[first].index.size + sum(int(problem.parts[k].states.sum()) for k in members),
+    )
     return Fit(
         model,
-        verdict(best.state, best.iterations, evidence),
-        _fit_percent([problem.parts[k].data for k in members], model, how),
+        status,
+        _fit_percent(sets, misses),
         model.noise_variance,
         spread @ spread.T,
         whiteness_p=evidence[0],
         correlation_p=evidence[1],
         iterations=best.iterations,
         starts=tried,
-        repaired=sum(problem.parts[k].data.clipped for k in members) if how.repair else 0,
+        repaired=sum(data.clipped for data in sets) if how.repair else 0,
+        silent=silent,
     )
 
 
@@ -185,14 +198,9 @@ def _to_units(part: Part, free: "np.ndarray[Any, np.dtype[np.bool_]]") -> FloatA
     return T
 
 
-def _fit_percent(sets: Sequence[ChannelData], model: PolynomialModel, how: Search) -> float:
+def _fit_percent(sets: Sequence[ChannelData], misses: Sequence[FloatArray]) -> float:
     """Return the simulated fit over all records, each against its own mean."""
-    misses, spreads = [], []
-    for data in sets:
-        output = np.clip(simulated(data, model, how), data.low, data.high)
-        misses.append(data.recorded - output)
-        spreads.append(data.recorded - data.recorded.mean())
-    y = np.concatenate(spreads)
+    y = np.concatenate([data.recorded - data.recorded.mean() for data in sets])
     return prediction.fit_percent(y, y - np.concatenate(misses))
 
 

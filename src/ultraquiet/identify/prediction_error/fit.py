@@ -1,5 +1,6 @@
 """One output of one structure: starts, search, verdict."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,17 +112,13 @@ def finished(
     nu = data.u.shape[0]
     free = structure.parameters(nu) + nu * structure.longest + 1  # its past and a constant too
     share = best.loss / max(float(np.var(data.y)), np.finfo(float).tiny)
-    status = noiseless(share) or verdict(best.state, best.iterations, evidence)
-    silent = False
-    if status.ok:
-        told = chance.explained(data.recorded, data.recorded - output)
-        silent = chance.by_chance(told, data.recorded.size, free)
-        status = chance.silence(told) if silent else status
-    if status.ok and not model.is_stable():
-        # Only ARX and ARMAX can end here: their A is not divided by.
-        status = Status(
-            StatusWord.POOR_FIT, "The model is unstable: it predicts one step, but its simulation grows without bound."
-        )
+    status, silent = judged(
+        noiseless(share) or verdict(best.state, best.iterations, evidence),
+        model,
+        lambda: chance.explained(data.recorded, data.recorded - output),
+        data.recorded.size,
+        free,
+    )
     colored = colored_products(data, structure, search, best) if is_colored(structure, evidence[0]) else None
     return Fit(
         model,
@@ -136,6 +133,24 @@ def finished(
         repaired=data.clipped if search.repair else 0,
         silent=silent,
     )
+
+
+def judged(
+    status: Status, model: PolynomialModel, explains: Callable[[], float], samples: int, parameters: float
+) -> tuple[Status, bool]:
+    """Return what the verdict on a residual says of a model, and whether its inputs explain no more than chance would.
+
+    A residual that is white and free of the inputs is no praise where the inputs have nothing to do with the output, or
+    where only one step is predicted. `explains` returns the share of `chance.explained`; it is asked where it matters.
+    """
+    if not status.ok:
+        return status, False
+    if not model.is_stable():  # of ARX and ARMAX alone: their A is not divided by
+        said = "The model is unstable: it predicts one step, but its simulation grows without bound."
+        return Status(StatusWord.POOR_FIT, said), False
+    told = explains()
+    silent = chance.by_chance(told, samples, parameters)
+    return (chance.silence(told) if silent else status), silent
 
 
 def best_of_starts(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int]":

@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
+from ultraquiet.identify import chance
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.in_memory import moved
@@ -30,7 +31,7 @@ from ultraquiet.identify.prediction_error.structure import (
     f_rows,
     free_rows,
 )
-from ultraquiet.identify.result import SIGNIFICANCE, Result
+from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status, StatusWord
@@ -279,10 +280,18 @@ def _fit_output(
     point = best.point
     model = modelled(parameterisation, point.table, data.gain, record.rate_hz, point.criterion * data.output_size**2)
     colored = _colored_products(point, r) if one_fit.is_colored(structure, evidence[0]) else None
+    simulation = _simulation(data, model, fitted, title)
+    status, silent = one_fit.judged(
+        noiseless(point.criterion) or one_fit.verdict(best.state, best.iterations, evidence),
+        model,
+        lambda: _explained(simulation),
+        record.samples,
+        structure.parameters(nu) + nu * structure.longest + 1,
+    )
     fit = one_fit.Fit(
         model,
-        _clipping(one_fit.verdict(best.state, best.iterations, evidence), seen, output, record),
-        _simulated_fit(data, model, seen, output, fitted, title),
+        _clipping(status, seen, output, record),
+        _fit_percent(simulation, data, seen, output),
         model.noise_variance,
         one_fit.covariance(best.normal, point.criterion, structure, data.gain, colored),
         whiteness_p=evidence[0],
@@ -290,6 +299,7 @@ def _fit_output(
         iterations=best.iterations,
         starts=tried,
         repaired=0,
+        silent=silent,
     )
     return fit, data.passes
 
@@ -324,28 +334,46 @@ def _colored_products(point: LongRecordPoint, r: FloatArray) -> FloatArray:
 def simulated_fit(record: LongRecord, output: int, model: PolynomialModel, offset: bool = True) -> float:
     """Return the simulated fit of a model on a long record in percent, its past fitted, and a constant if wanted."""
     seen = survey(record)
-    return _simulated_fit(Stream(record, output, seen), model, seen, output, (True, offset), "simulate")
+    data = Stream(record, output, seen)
+    return _fit_percent(_simulation(data, model, (True, offset), "simulate"), data, seen, output)
 
 
-def _simulated_fit(
-    data: Stream, model: PolynomialModel, seen: LongRecordStatistics, output: int, fitted: tuple[bool, bool], title: str
-) -> float:
-    """Return the simulated fit in percent: the output-error loss of the model, its past and a constant fitted."""
-    from ultraquiet.identify.prediction_error.kernels.normal_equations import reduced as without_past
-
+def _simulation(data: Stream, model: PolynomialModel, fitted: tuple[bool, bool], title: str) -> LongRecordPoint | None:
+    """Return the output error of a model and what goes with it, None of one that is unstable."""
     nu = data.input_size.size
     lag = min(int(np.flatnonzero(b)[0]) if np.any(b) else 0 for b in model.b)
     order = max(len(model.denominator(j)) for j in range(nu)) - 1
     plant = Structure(0, max(len(b) for b in model.b) - lag, 0, 0, order, lag)
     bare = PolynomialModel(model.b, [model.denominator(j) for j in range(nu)], model.rate_hz)
     if not bare.is_stable():
-        return -np.inf
+        return None
     signals = signals_through(plant, nu, fitted, ())
-    G = data.products(
-        table_of(Parameterisation.alike(plant, nu), bare, data.gain), np.zeros(signals.unknown_past), signals, title
+    table = table_of(Parameterisation.alike(plant, nu), bare, data.gain)
+    return LongRecordPoint.of(data, signals, title, table, np.zeros(signals.unknown_past))
+
+
+def _fit_percent(simulation: LongRecordPoint | None, data: Stream, seen: LongRecordStatistics, output: int) -> float:
+    """Return the simulated fit in percent: the output-error loss of the model, its past and a constant fitted."""
+    if simulation is None:
+        return -np.inf
+    loss = max(simulation.criterion, 0.0) * data.output_size**2
+    return 100.0 * (1.0 - np.sqrt(loss) / float(seen.output_size[output]))
+
+
+def _explained(simulation: LongRecordPoint | None) -> float:
+    """Return `chance.explained` of the whole record, from one more pass: with the past that fits it."""
+    if simulation is None:
+        return 0.0
+    data = simulation.data
+    sums = Lagged(2, min(prediction.MEMORY, data.record.samples // 10))
+    data.products(
+        simulation.table,
+        simulation.past(),
+        simulation.signals,
+        simulation.title,
+        lambda _, y, e: sums.add(np.vstack([y, e])),
     )
-    loss = float(without_past(G, signals.unknown_past)[-1, -1]) / data.record.samples * data.output_size**2
-    return 100.0 * (1.0 - np.sqrt(max(loss, 0.0)) / float(seen.output_size[output]))
+    return chance.explained_of(sums, 0, 1)
 
 
 def _clipping(status: Status, seen: LongRecordStatistics, output: int, record: LongRecord) -> Status:

@@ -13,14 +13,15 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.files import LongRecord
+from ultraquiet.identify import chance
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.record_checks import usable
-from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
+from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, worst
 from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection, unexcited
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Horizon, SubspaceStart
-from ultraquiet.linalg import portmanteau
+from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status, StatusWord
 
@@ -209,16 +210,28 @@ def _judged(
     lags = min(evidence.TEST_LAGS, data.samples // 10)
     memory = min(evidence.RESIDUAL_LAGS, data.samples // 10)
     simulated, predicted = Lagged(ny + nu, lags + memory), Lagged(ny, lags)
-    for u, v, e in _errors(system, data):
+    heard = [Lagged(2, min(prediction.MEMORY, data.samples // 10)) for _ in range(ny)]
+    for u, y, v, e in _errors(system, data):
         simulated.add(np.vstack([v, u]))
         predicted.add(e)
+        for sums, own, miss in zip(heard, y, v, strict=True):
+            sums.add(np.stack([own, miss]))
     n = data.samples
     r, white = simulated.products(centred=True) / n, predicted.products(centred=True)
     free = [_free(r, i, ny, lags, memory, n) for i in range(ny)]
     spread = predicted.products()[0] / n
-    statuses = [_verdict(p, data.statistics, i, data.record, *search) for i, p in enumerate(free)]
-    whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
     squares = np.diag(simulated.products()[0])[:ny] / n
+    numbers = chance.numbers_of(len(system.A), nu)
+    statuses = [
+        chance.unless_silent(
+            _verdict(p, data.statistics, i, data.record, *search, noiseless(float(squares[i]))),
+            chance.explained_of(heard[i], 0, 1),
+            n,
+            numbers,
+        )
+        for i, p in enumerate(free)
+    ]
+    whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
     model = evidence.modelled(system, like, data.record.part(0, 1), data.first(1), provenance)
@@ -238,8 +251,8 @@ def _judged(
     )
 
 
-def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Yield inputs, simulated and one-step errors block by block."""
+def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Yield inputs, outputs, simulated and one-step errors block by block."""
     from ultraquiet.identify.subspace.disk.long_record_bank import simulated
 
     inner = np.ascontiguousarray(system.A - system.K @ system.C)
@@ -251,7 +264,7 @@ def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray
         simulated(A, system.B @ u, x, states)
         miss = v - system.C @ states
         simulated(inner, into @ u + system.K @ (y - system.constant[:, None]), z, states)
-        yield u, miss, v - system.C @ states
+        yield u, y, miss, v - system.C @ states
 
 
 def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> float:
@@ -263,8 +276,16 @@ def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> flo
 
 
 def _verdict(
-    p: float, statistics: LongRecordStatistics, output: int, record: LongRecord, steps: int, converged: bool
+    p: float,
+    statistics: LongRecordStatistics,
+    output: int,
+    record: LongRecord,
+    steps: int,
+    converged: bool,
+    exact: Status | None,
 ) -> Status:
+    if exact is not None and not statistics.clipped[output]:  # there is no noise that anything could be told from
+        return exact
     if not converged:
         return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {steps} steps.")
     if p < SIGNIFICANCE:
