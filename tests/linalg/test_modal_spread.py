@@ -18,8 +18,9 @@ def ringing(rng, ny, nu):
     return A, rng.standard_normal((5, nu)), rng.standard_normal((ny, 5)), rng.standard_normal((ny, nu))
 
 
+@pytest.mark.parametrize("began", [0.0, 3.0])
 @pytest.mark.parametrize(("ny", "nu"), [(1, 1), (2, 3)])
-def test_sensitivities_are_those_of_a_record_from_rest_and_from_any_state(rng, ny, nu):
+def test_sensitivities_are_those_of_a_record_from_rest_and_from_any_state(rng, ny, nu, began):
     """Each column against the difference of two simulations, transformed; steady ones are not near it."""
     n = 200
     at = ModalSensitivities(*ringing(rng, ny, nu), direct=nu)
@@ -30,12 +31,12 @@ def test_sensitivities_are_those_of_a_record_from_rest_and_from_any_state(rng, n
     def spectrum(A, B, C, D, x0):
         return np.fft.rfft(response.simulate(A, B, C, D, u, x0), axis=1)[:, lines].T
 
-    rest = np.zeros(5)
+    rest, x0 = np.zeros(5), began * rng.standard_normal(5)
     moves = [(dA, 0 * at.B, 0 * at.C, 0 * at.D, rest) for dA in at.bends()]
     for k, M in enumerate((at.B, at.C, at.D, rest)):
         for one in np.eye(M.size).reshape(-1, *M.shape):
             moves.append(tuple(one if i == k + 1 else 0 * M for i, M in enumerate((at.A, at.B, at.C, at.D, rest))))
-    base = (at.A, at.B, at.C, at.D, rest)
+    base = (at.A, at.B, at.C, at.D, x0)
     expected = np.stack(
         [
             (spectrum(*(b + STEP * m for b, m in zip(base, move, strict=True)))
@@ -45,7 +46,7 @@ def test_sensitivities_are_those_of_a_record_from_rest_and_from_any_state(rng, n
         axis=2,
     )  # fmt: skip
     U = np.fft.rfft(u, axis=1)[:, lines].T
-    found = at.of(z, U, RecordEnd.of(at.A, at.B, at.blocks, u))
+    found = at.of(z, U, RecordEnd.of(at.A, at.B, at.blocks, u, x0))
     assert found.shape == expected.shape
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
     steady = at.of(z, U)

@@ -94,3 +94,31 @@ def test_a_mode_that_rings_as_long_as_the_record_has_the_band_of_an_output_error
         bands = [uq.validate.response_band(method.identify(record), [4.0]) for method in methods]
         ratios.append(float(np.divide(*((b.gain_high_db - b.gain_db)[0, 0, 0] for b in bands))))
     assert ratios == pytest.approx([1.0] * 3, abs=0.25)
+
+
+def in_motion(rng, mean):
+    """A record cut from a longer one: a mode that rings on, its inputs about a mean."""
+    p = 0.995 * np.exp(0.3j)
+    plant = uq.StateSpace([[p.real, p.imag], [-p.imag, p.real]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]], 100.0)
+    u = mean + rng.standard_normal((1, 5000))
+    y = plant.simulate(u)[:, 2000:]
+    return uq.Record(u[:, 2000:], y + 0.02 * y.std() * rng.standard_normal(y.shape), 100.0)
+
+
+@pytest.mark.parametrize("mean", [0.0, 30.0])
+def test_a_record_that_begins_in_motion_says_as_much_as_one_from_rest(mean, rng):
+    """Beside the band of the output-error model, whose past is fitted too: what rings on is no noise."""
+    record, f = in_motion(rng, mean), [1.0, 4.77, 10.0]
+    methods = uq.identify.Subspace(order=2, refine=True, feedthrough=False), uq.identify.OutputError(order=2)
+    bands = [uq.validate.response_band(method.identify(record), f).percent.ravel() for method in methods]
+    print(*bands)
+    np.testing.assert_allclose(*bands, rtol=0.2)
+
+
+@pytest.mark.parametrize("focus", ["simulation", "prediction"])
+def test_what_the_inputs_mean_is_says_nothing_of_the_response(focus):
+    method = uq.identify.Subspace(order=2, refine=True, feedthrough=False, focus=focus)
+    records = [in_motion(np.random.default_rng(1), mean) for mean in (0.0, 30.0)]
+    bands = [uq.validate.response_band(method.identify(r), [1.0, 4.77, 10.0]).percent.ravel() for r in records]
+    print(*bands)
+    np.testing.assert_allclose(*bands, rtol=1e-3)

@@ -31,7 +31,14 @@ def errors(
 def unknown_past(
     A: FloatArray, C: FloatArray, miss: FloatArray, *, estimate: bool = True, offset: bool = True
 ) -> FloatArray:
-    """Return C A^t x0 + c, x0 and c `(ny,)` fitted together to `miss` `(ny, n)` by least squares.
+    """Return C A^t x0 + c, x0 and c `(ny,)` fitted together to `miss` `(ny, n)` by least squares: see `fitted_past`."""
+    return fitted_past(A, C, miss, estimate=estimate, offset=offset)[1]
+
+
+def fitted_past(
+    A: FloatArray, C: FloatArray, miss: FloatArray, *, estimate: bool = True, offset: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return x0 `(n_x,)` and C A^t x0 + c `(ny, n)`, x0 and c fitted together to `miss` by least squares.
 
     One after the other they would take from each other: over a record that a slow mode outlasts, its free motion has a
     mean of its own. Each output counts in units of its own deviation.
@@ -60,7 +67,8 @@ def unknown_past(
     found = _least_squares(X, wanted)
     out = np.zeros((n, ny))
     out[:rows] = (X[: rows * ny, :states] @ found[:states]).reshape(rows, ny)
-    return np.asarray(((out + (found[states:] if offset else 0.0)) * size).T)
+    x0 = found[:states] if states else np.zeros(len(A))
+    return x0, np.asarray(((out + (found[states:] if offset else 0.0)) * size).T)
 
 
 def _motion(A: FloatArray, C: FloatArray, n: int) -> FloatArray:

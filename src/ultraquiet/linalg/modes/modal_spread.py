@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.innovation import fitted_past
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.linalg.prediction import error_spectrum
 
@@ -20,14 +21,14 @@ SAMPLES_AT_ONCE = 4096
 
 
 class RecordEnd(NamedTuple):
-    """Where a record from rest ends: per block of modes, what its states have become of what drove them.
+    """Where a record ends: per block of modes, what its states have become of what they were and what drove them.
 
     A record is no period: of x+ = A x + B u, the transform over n samples is (z - A)^-1 (B U + z (x_0 - x_n)), and
     x_n is as large as what drives it where a mode rings for as long as the record.
 
     Attributes:
-        x: `(n,)` the states.
-        w: `(n,)` of w+ = A w + x, which their derivatives by a pole are.
+        x: `(n,)` how far the states have come, x_n - x_0.
+        w: `(n,)` of w+ = A w + x from rest, which their derivatives by a pole are.
         h: `(n, n, nu)` states that input j alone leaves, let in at the place of the second index.
         turned: `(n, n)` A^n.
     """
@@ -38,7 +39,7 @@ class RecordEnd(NamedTuple):
     turned: FloatArray
 
     @classmethod
-    def of(cls, A: FloatArray, B: FloatArray, blocks: Sequence[int], u: FloatArray) -> "RecordEnd":
+    def of(cls, A: FloatArray, B: FloatArray, blocks: Sequence[int], u: FloatArray, x0: FloatArray) -> "RecordEnd":
         """Return it for real modal blocks [[re, im], [-im, re]], of which x1 - j x2 is the complex state."""
         (n, nu), samples = B.shape, u.shape[1]
         starts = np.concatenate([[0], np.cumsum(blocks)[:-1]]).astype(int)
@@ -50,13 +51,15 @@ class RecordEnd(NamedTuple):
             left = samples - 1 - np.arange(k, k + some.shape[1])
             first += p[:, None] ** left @ some.T
             second += (left * p[:, None] ** np.maximum(left - 1, 0)) @ some.T
-        h, slopes, turned = np.zeros((n, n, nu)), np.zeros((n, n, nu)), np.zeros((n, n))
-        for a, pair, *sums in zip(starts, pairs, first, second, p**samples, strict=True):
-            for into, s in zip((h, slopes, turned), sums, strict=True):
+        h, slopes, turned, bent = np.zeros((n, n, nu)), np.zeros((n, n, nu)), np.zeros((n, n)), np.zeros((n, n))
+        powers = p**samples, samples * p ** (samples - 1)
+        for a, pair, *sums in zip(starts, pairs, first, second, *powers, strict=True):
+            for into, s in zip((h, slopes, turned, bent), sums, strict=True):
                 into[a, a] = np.real(s)
                 if pair:
                     into[a, a + 1], into[a + 1, a], into[a + 1, a + 1] = np.imag(s), -np.imag(s), np.real(s)
-        return cls(np.einsum("abj,bj->a", h, B), np.einsum("abj,bj->a", slopes, B), h, turned)
+        x = np.einsum("abj,bj->a", h, B) + turned @ x0 - x0
+        return cls(x, np.einsum("abj,bj->a", slopes, B) + bent @ x0, h, turned)
 
 
 class ModalSensitivities:
@@ -113,11 +116,12 @@ class ModalSensitivities:
 
 
 def spread_root(
-    at: ModalSensitivities, inputs: FloatArray, errors: FloatArray, weight: FloatArray | None, colored: bool
+    at: ModalSensitivities, inputs: FloatArray, misses: FloatArray, weight: FloatArray | None, colored: bool
 ) -> FloatArray:
     """Return R `(p, k)` with R R' the covariance of the parameters that make a sum of squared errors least.
 
-    The states that the record began with are parameters beside them, of which nothing is known.
+    The states that the record began with, and a constant of each output, are parameters beside them, of which nothing
+    is known beforehand.
 
     With S(f) = d y / d theta at a line of the record, W the weight and Phi the spectrum of the errors,
 
@@ -126,21 +130,23 @@ def spread_root(
     Args:
         at: the sensitivities.
         inputs: `(nu, n)`.
-        errors: `(ny, n)`.
+        misses: `(ny, n)` outputs less what the inputs make of the system from rest.
         weight: `(ny, ny)` W of the sum of squares; None for the inverse of the errors' covariance.
         colored: whether Phi comes from an autoregression of each output's errors; else they are taken as white.
 
     Ljung, System Identification, 2nd ed., sections 9.3 and 9.4; McKelvey, Helmersson, Ribarits 2004 (coordinates
     that are more than needed), doi:10.1016/j.automatica.2004.04.017.
     """
-    (ny, n), states = errors.shape, len(at.A)
-    v = errors - errors.mean(axis=1, keepdims=True)
+    (ny, n), states = misses.shape, len(at.A)
+    began, past = fitted_past(at.A, at.C, misses)
+    v = misses - past
+    v = v - v.mean(axis=1, keepdims=True)
     V = v @ v.T / max(1.0, n - states * (1 + inputs.shape[0] / ny))
     W = np.linalg.inv(V) if weight is None else weight
     lines = np.arange(1, (n + 1) // 2)
     z = np.exp(2j * np.pi * lines / n)
     U = np.fft.rfft(inputs, axis=1)[:, lines].T
-    ended = RecordEnd.of(at.A, at.B, at.blocks, inputs)
+    ended = RecordEnd.of(at.A, at.B, at.blocks, inputs, began)
     level = np.sqrt(spectra(v, z)) if colored else np.ones((lines.size, ny))
     root, weigh = np.linalg.cholesky(V), np.linalg.cholesky(W).T
     M, Q = np.zeros((2, 1, 1))

@@ -46,9 +46,9 @@ class SimulatedSpread:
 
     @cached_property
     def _found(self) -> tuple[ModalSensitivities, FloatArray]:
-        m, u = self.model, self.record.inputs
+        m, u = self.model, _moving(self.record.inputs)
         at = ModalSensitivities(m.A, m.B, m.C, m.D, u.shape[0] if np.any(m.D) else 0)
-        return at, spread_root(at, u, self.record.outputs - m.simulate(u), self.weight, colored=True)
+        return at, spread_root(at, u, _moving(self.record.outputs) - m.simulate(u), self.weight, colored=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +77,11 @@ class PredictedSpread:
     def _found(self) -> tuple[ModalSensitivities, FloatArray]:
         w, m = self.model.predictor(), self.model
         at = ModalSensitivities(w.A, w.B, w.C, w.D, m.B.shape[1] if np.any(m.D) else 0)
-        heard = self.record.outputs - self.record.outputs.mean(axis=1, keepdims=True)
-        drive = np.vstack([self.record.inputs, heard])
-        return at, spread_root(at, drive, m.innovations(self.record), self.weight, colored=False)
+        heard = _moving(self.record.outputs)
+        drive = np.vstack([_moving(self.record.inputs), heard])
+        return at, spread_root(at, drive, heard - w.simulate(drive), self.weight, colored=False)
+
+
+def _moving(signals: FloatArray) -> FloatArray:
+    """Return signals without their means: a constant and the states at the record's beginning make up for these."""
+    return signals - signals.mean(axis=1, keepdims=True)
