@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet.analyse import disk_margin, peak_sensitivity
-from ultraquiet.bench import LinearBench
+from ultraquiet.bench import LinearBench, Wrapped
 from ultraquiet.pipeline.facts.mission import CommissioningFacts
 from ultraquiet.pipeline.facts.typed import from_plain, to_plain
 from ultraquiet.pipeline.mission.commission import commissioned
@@ -19,7 +19,7 @@ from ultraquiet.simulate import commission
 from ultraquiet.simulate.commissioning.commission import replace_gain
 from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import Channel, StateSpace, SteppedController
-from ultraquiet.values.interconnect import feedback
+from ultraquiet.values.interconnect import feedback, gain
 
 RATE_HZ = 200.0
 BAND_HZ = (2.0, 10.0)
@@ -131,6 +131,64 @@ def test_a_reading_at_its_limit_ends_the_run_with_a_ramp():
     sent = np.concatenate([block.command for block in blocks], axis=1)
     assert sent.shape[1] < 0.9 * (HOW["settle_s"] + 2 * HOW["seconds"]) * RATE_HZ
     assert np.abs(sent[:, -1]).max() < 0.1 * np.abs(sent).max()
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_commands_at_their_limits_are_no_quiet_loop(ny, nu, unit):
+    """A loop that swings between the limits of its commands hardly answers an injection: it looks like none at all."""
+    B = np.eye(ny, nu)
+    B[:, ny:] = 0.3
+    wires = [Channel(f"u{k}", "N", -1.0, 1.0) for k in range(nu)], [Channel(f"y{k}", "nm") for k in range(ny)]
+    G = StateSpace(0.9 * np.eye(ny), B, unit * np.eye(ny), np.zeros((ny, nu)), RATE_HZ, *wires)
+    K = gain(-2.5 / unit * np.eye(nu, ny), RATE_HZ)
+    assert not feedback(G, K).is_stable()
+    found = commission(LinearBench(G), K, (1.0, 10.0), gains=(1.0,), **HOW)
+    print(found.status)
+    assert found.status.word == "unstable"
+    assert "the command of 'u0' met its limit" in found.status.sentence
+
+
+def test_no_step_passes_the_verge_of_instability():
+    """Unstable from 13 % of the gain on, calm to look at from 18 % on: the next step is foreseen from 10 %."""
+    K = gain([[-14.4]], 100.0)
+    G = StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 100.0, [Channel("push", "N", -1.0, 1.0)], ["position"])
+    found = commission(LinearBench(G), K, BAND_HZ, gains=(0.1, 1.0), **HOW)
+    print(found.status, found.steps[0].next_disk, found.steps[0].next_gain)
+    assert found.status.word == "fragile"
+    assert found.gain == 0.1
+    assert found.steps[0].next_disk < 0.1
+    assert found.steps[0].next_gain == pytest.approx(1.9 / 14.4, rel=0.01)
+
+
+def test_a_mode_that_grows_between_the_lines_is_heard_at_the_end():
+    def block(f_hz, damping):
+        p = np.exp(2 * np.pi * f_hz / 1000.0 * complex(-damping, np.sqrt(1 - damping**2)))
+        return np.array([[p.real, p.imag], [-p.imag, p.real]])
+
+    A = np.zeros((4, 4))
+    A[:2, :2], A[2:, 2:] = block(10.0, 0.05), block(203.0, 5e-4)
+    G = StateSpace(A, [[0.0], [0.05], [0.0], [0.01]], [[1.0, 0.0, 1.0, 0.0]], [[0.0]], 1000.0)
+    K = StateSpace([[0.0]], [[1.0]], [[-0.3]], [[0.0]], 1000.0)
+    assert not feedback(G, K).is_stable()
+    found = commission(LinearBench(G), K, (5.0, 30.0))
+    print(found.status)
+    assert found.status.word == "unstable"
+    assert found.gain == 0.3
+    assert "202.8 Hz" in found.status.sentence
+
+
+def test_a_bench_that_fails_is_no_verdict_on_the_law():
+    calls = []
+
+    def step(u, d):
+        calls.append(u)
+        if len(calls) > 2500:
+            raise BenchError("Rig: the cable was pulled.")
+        return u
+
+    bench = Wrapped(step, lambda: None, RATE_HZ, ["force"], ["y"])
+    with pytest.raises(BenchError, match="the cable was pulled"):
+        commission(bench, law(1, 1, size=-0.1), BAND_HZ, **HOW)
 
 
 def test_what_cannot_be_commissioned_is_said():

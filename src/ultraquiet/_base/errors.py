@@ -43,6 +43,10 @@ class BenchError(UltraquietError, RuntimeError):
     """A bench from outside fell silent, died, answered nonsense or was stopped by an interlock while it ran."""
 
 
+class RunawayError(InputError, BenchError):
+    """What a bench read or a law commanded left the finite numbers: with each other, or either by itself."""
+
+
 class StageError(UltraquietError, RuntimeError):
     """A stage of a study could not do its work; those before it are kept and reused."""
 
@@ -66,6 +70,14 @@ class InterlockError(BenchError):
 
     def __reduce__(self) -> tuple[type["InterlockError"], tuple[str, str, int, float]]:
         return InterlockError, (str(self), self.interlock, self.sample, self.value)
+
+
+def of_the_loop(error: BaseException) -> bool:
+    """Return whether a run ended by what the loop did: it left its levels or the finite numbers.
+
+    A cable, a clock or an emergency stop says nothing of the law.
+    """
+    return isinstance(error, RunawayError) or (isinstance(error, InterlockError) and error.of_level)
 
 
 def signal_name(number: int) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray, few_finite, real_array, same_rate, whole
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, RunawayError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
 
@@ -197,7 +197,7 @@ def commands(who: str, output: Any, actuators: int, sample: int) -> FloatArray:
     """Return one sample of a controller's output as `(nu,)`, or say what is wrong with it."""
     u = np.asarray(output, dtype=np.float64).reshape(-1)
     if u.size != actuators or not few_finite(u):
-        raise InputError(
+        raise (RunawayError if u.size == actuators else InputError)(
             f"{who}: at sample {sample} the controller must return {actuators} finite commands, got {output!r}."
         )
     return u

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.errors import BenchError, InputError, StorageError, ToolError
+from ultraquiet._base.errors import BenchError, InputError, RunawayError, StorageError, ToolError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
 from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant
@@ -171,7 +171,7 @@ class _Instance(SteppedPlant):
         except Exception as error:
             raise self._failure(f"at sample {k}", error) from error
         if not np.isfinite(y).all():
-            raise BenchError(f"Fmu: at sample {k} the outputs must be finite, got {y.tolist()}.")
+            raise RunawayError(f"Fmu: at sample {k} the outputs must be finite, got {y.tolist()}.")
         return y
 
     def rest(self, error: BaseException | None) -> None:

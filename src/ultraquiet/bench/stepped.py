@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, few_finite, whole
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, RunawayError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench._abstract import (
@@ -274,7 +274,7 @@ def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
     except (TypeError, ValueError):
         y = np.empty(0)
     if y.size != sensors or not few_finite(y):
-        raise InputError(
+        raise (RunawayError if y.size == sensors else InputError)(
             f"{who}: at sample {k} the plant must return {counted(sensors, 'finite reading')}, got {answer!r}."
         )
     return y

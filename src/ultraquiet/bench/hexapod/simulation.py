@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import RunawayError
 from ultraquiet.bench._abstract import Block, IntArray, fade
 from ultraquiet.bench.columns import turned
 from ultraquiet.bench.hexapod.laws import WHO, FeedbackLaw, Limits, LostError, Plant
@@ -58,7 +58,7 @@ class Simulation:
             if block is not None:
                 yield block
             if lost is not None:
-                raise lost.error or InputError(
+                raise lost.error or RunawayError(
                     f"{WHO}: at sample {self._k} the controller's command was no longer a finite number; "
                     f"it is unstable by itself or with this bench."
                 )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, whole
-from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet._base.errors import BenchError, InputError, RunawayError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
 from ultraquiet.bench.process.link import Child, Deadline, Link, shown
@@ -242,7 +242,7 @@ class _Driven(SteppedPlant):
         except (ValueError, OverflowError):
             y = np.empty(0)
         if word != "y" or y.size != expected or not np.isfinite(y).all():
-            raise BenchError(
+            raise (RunawayError if word == "y" and y.size == expected else BenchError)(
                 f"Process: at sample {k} the plant must answer 'y' and {expected} finite numbers, got "
                 f"{shown(line, SHOWN)!r}."
             )

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive, rising_band
-from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.errors import InputError, UltraquietError, of_the_loop
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.commissioning.injection import (
@@ -20,6 +20,7 @@ from ultraquiet.simulate.commissioning.injection import (
     open_levels,
 )
 from ultraquiet.simulate.commissioning.margins import disk_margin_of, foreseen, peak_db
+from ultraquiet.simulate.stability import check_stability
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.status import Status, StatusWord
@@ -69,13 +70,17 @@ def commission(
     seconds: float = 4.0,
     settle_s: float = 2.0,
     ramp_s: float = 0.1,
+    watched_s: float | None = None,
 ) -> Commissioning:
     """Put a law on at rising shares of its gain; at each measure both sensitivities and the margins without a model.
 
     Sines are injected at one actuator after the other while the law runs. What the commands are of the injection is
     (I - K G)^-1, what the readings are of it gives (I - G K)^-1; both margins come from these alone. From the loop as
     measured follows what the next gain, and every gain on the way, will leave: the law goes on only if that is
-    `margin` at least. A reading that meets its limit ends the run at once, faded out within `ramp_s`.
+    `margin` at least. A reading or a command that meets its limit ends the run at once, faded out within `ramp_s`.
+
+    Margins are those at the lines of the injection: what grows between two of them, a sharp mode, is heard at the end,
+    when `check_stability` watches the loop at its whole gain.
 
     Args:
         bench: any bench; one that streams can be stopped within a run.
@@ -86,12 +91,14 @@ def commission(
         seconds: a period of the injection, two of which are measured; its inverse is the lowest line.
         settle_s: before them.
         ramp_s: within which an aborted run fades out.
+        watched_s: longest record of `check_stability` at the end; 0 leaves it out, absent it takes what it needs.
 
     Returns:
         `Commissioning`, a step for each gain at which the law ran.
 
     Raises:
         InputError: gains that do not rise, a law of other channels, an actuator that moves nothing.
+        BenchError: the bench failed, or was stopped by something else than what was sent or read.
     """
     rate = bench.rate_hz
     low, high = rising_band(WHO, band_hz, rate)
@@ -111,9 +118,9 @@ def commission(
                 law = scaled(controller, gain)
                 parts = [measured_loop(bench, law, *sent, settle, ramp) for sent in zip(passes, levels, strict=True)]
             except (Halted, UltraquietError) as error:
-                if isinstance(error, UltraquietError) and not steps:
+                if isinstance(error, UltraquietError) and not of_the_loop(error):
                     raise
-                return _halted(steps, gain)
+                return _ended(steps, f"Faded out at {gain:.0%} of its gain: {str(error).rstrip('.')}.")
             step = _judged(gain, joined(parts), band_hz)
             if k + 1 < len(shares):
                 least, at, hz = foreseen(step.loop, gain, shares[k + 1])
@@ -123,12 +130,17 @@ def commission(
             refusal = _refused(step, margin)
             if refusal is not None:
                 return Commissioning(tuple(steps), gain, refusal)
+    seen = None if watched_s == 0 else check_stability(bench, scaled(controller, shares[-1]), watched_s)
+    if seen is not None and seen.status.word is StatusWord.UNSTABLE:
+        return _ended(steps[:-1], f"Taken off at {shares[-1]:.0%} of its gain: {seen.status.sentence}")
     last = steps[-1]
     end = min(last.disk, key=lambda each: last.disk[each])
     sentence = (
         f"The law runs at {last.gain:.0%} of its gain; all channels at once keep a disk margin of {last.disk[end]:.2f} "
         f"at the plant's {end}, measured without a model."
     )
+    if seen is not None and not seen.status.ok:
+        return Commissioning(tuple(steps), last.gain, Status(seen.status.word, f"{sentence} {seen.status.sentence}"))
     return Commissioning(tuple(steps), last.gain, Status(StatusWord.OK, sentence))
 
 
@@ -191,9 +203,8 @@ def _refused(step: CommissioningStep, margin: float) -> Status | None:
     return None
 
 
-def _halted(steps: list[CommissioningStep], gain: float) -> Commissioning:
+def _ended(steps: list[CommissioningStep], sentence: str) -> Commissioning:
     last = steps[-1].gain if steps else 0.0
-    sentence = f"Faded out at {gain:.0%} of its gain: a reading met its limit while the law ran."
     return Commissioning(tuple(steps), last, Status(StatusWord.UNSTABLE, sentence))
 
 

@@ -6,11 +6,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench, Streaming
 from ultraquiet.values import Record, StateSpace
+from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
 
 WHO = "commission"
@@ -113,7 +115,7 @@ def measured_response(bench: Bench, injection: Injection, levels: FloatArray, se
 
 
 class Halted(Exception):  # noqa: N818 - it ends a run on purpose and is told, not raised to a caller
-    """A run was faded out because a reading stood at its limit."""
+    """A run was faded out because a reading or a command stood at its limit; the message says which."""
 
 
 def measured_loop(
@@ -122,7 +124,7 @@ def measured_loop(
     """Inject at each actuator in turn, the law running, and return both sensitivities.
 
     Raises:
-        Halted: a reading met its limit; the run was faded out within `ramp` samples.
+        Halted: a reading or a command met its limit; the run was faded out within `ramp` samples.
     """
     nu, ny, n = len(bench.actuators), len(bench.sensors), injection.lines.size
     sent, answered = (np.empty((PERIODS, k, nu, n), dtype=np.complex128) for k in (nu, ny))
@@ -152,11 +154,13 @@ def _known(law: StateSpace | Controller, f_hz: FloatArray, U: ComplexArray, Y: C
 
 
 def _watched(bench: Bench, actuation: FloatArray, law: StateSpace | Controller, ramp: int) -> Record:
-    """Run the bench; one that streams is faded out as soon as a reading stands at its limit."""
+    """Run the bench; one that streams is faded out as soon as a reading or a command stands at its limit.
+
+    A command that is cut answers the injection as if there were hardly a loop, whatever the loop does.
+    """
     if not isinstance(bench, Streaming):
         record = bench.run(actuation, controller=law)
-        if _limited(record.outputs, bench):
-            raise Halted
+        _within_limits(bench, at_limits(record.outputs, bench.sensors), at_limits(record.inputs, bench.actuators))
         return record
     halted = False
 
@@ -166,16 +170,21 @@ def _watched(bench: Bench, actuation: FloatArray, law: StateSpace | Controller, 
     blocks: list[Any] = []
     for block in bench.stream(actuation, controller=law, stop=stop, ramp_samples=ramp):
         blocks.append(block)
-        halted = halted or bool(np.any(block.limited_readings)) or not np.isfinite(block.readings).all()
+        met = np.concatenate([block.limited_readings, block.limited_commands])
+        halted = halted or bool(np.any(met)) or not np.isfinite(block.readings).all()
     if halted:
-        raise Halted
+        met = (sum(getattr(block, name) for block in blocks) for name in ("limited_readings", "limited_commands"))
+        _within_limits(bench, *(np.asarray(each) for each in met))
+        raise Halted("readings left the finite numbers")
     u, y = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("command", "readings"))
     return Record(u, y, bench.rate_hz, bench.actuators, bench.sensors)
 
 
-def _limited(y: FloatArray, bench: Bench) -> bool:
-    low, high = (np.array([getattr(c, end) for c in bench.sensors])[:, None] for end in ("low", "high"))
-    return bool(np.any((y <= low) | (y >= high)))
+def _within_limits(bench: Bench, readings: NDArray[np.int64], commands: NDArray[np.int64]) -> None:
+    """Tell which channel met its limit, by how many samples of each did."""
+    for what, wires, counts in (("the reading", bench.sensors, readings), ("the command", bench.actuators, commands)):
+        if np.any(counts):
+            raise Halted(f"{what} of '{wires[int(np.argmax(counts))].name}' met its limit")
 
 
 def joined(parts: Sequence[MeasuredLoop]) -> MeasuredLoop:

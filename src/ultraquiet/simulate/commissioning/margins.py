@@ -8,7 +8,7 @@ from ultraquiet.linalg.response import principal_gains
 from ultraquiet.simulate.commissioning.injection import MeasuredLoop
 
 CLOSER = 8  # lines
-BETWEEN = 12  # gains looked at on the way to the next
+VERGE = 1e-2  # a disk margin below it is none: beyond lies another loop, stable or not
 
 
 def disk_margin_of(S: ComplexArray, f_hz: FloatArray) -> tuple[float, float]:
@@ -45,15 +45,19 @@ def peak_db(S: ComplexArray) -> FloatArray:
 def foreseen(loop: MeasuredLoop, gain: float, further: float) -> tuple[float, float, float]:
     """Return the least margin at either end on the way from a gain to a larger one, at which gain, and at which Hz.
 
-    Of a loop L = I - S^-1 measured at `gain`, L further / gain is the loop at `further`: no model is asked. A gain
-    on the way at which the loop would be on the verge of instability has no margin.
+    Of a loop L = I - S^-1 measured at `gain`, L further / gain is the loop at `further`: no model is asked. A disk
+    margin alpha allows every gain to rise by (1 + alpha / 2) / (1 - alpha / 2), so that no step of half of that, in
+    logarithms, passes the verge of instability; where the steps end at one, nothing is left.
     """
     least = (np.inf, gain, 0.0)
     for S in loop.ends().values():
-        each = np.moveaxis(S, 2, 0)
         one = np.eye(len(S))
-        L = one - np.linalg.inv(each)
-        for factor in np.linspace(1.0, further / gain, BETWEEN + 1)[1:]:
-            margin, f = disk_margin_of(np.moveaxis(np.linalg.inv(one - factor * L), 0, 2), loop.f_hz)
+        L = one - np.linalg.inv(np.moveaxis(S, 2, 0))
+        margin, factor, end = disk_margin_of(S, loop.f_hz)[0], 1.0, further / gain
+        while factor < end and margin > VERGE:
+            allowed = (1 + margin / 2) / (1 - margin / 2) if margin < 2 else np.inf
+            factor = min(end, factor * np.sqrt(allowed))
+            there = np.asarray(np.linalg.inv(one - factor * L), dtype=np.complex128)
+            margin, f = disk_margin_of(np.moveaxis(there, 0, 2), loop.f_hz)
             least = min(least, (margin, float(factor * gain), f))
     return least
