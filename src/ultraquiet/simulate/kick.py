@@ -2,15 +2,17 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import Channel, Record, StateSpace
-from ultraquiet.values.channel import at_limits, stands_at_limits
+from ultraquiet.values.channel import stands_at_limits
 from ultraquiet.values.controller import Controller
 
 USED_RANGE, AT_MOST = 0.3, 0.5  # shares of every channel's range that a burst uses, and may use
@@ -20,6 +22,8 @@ BEGIN, LEAST_COLOUR = 1e-3, 1e-3
 LOUD = 1e4
 RAISES, RAISED_BY, NEAR = 8, 30.0, 1.5
 COLOURS_PER_OCTAVE = 3
+# A range of which less lies to one side of zero is counted from where a reading rests; what is left of it at least.
+ASIDE, LEAST_ROOM = 0.25, 1e-3
 KAISER = 14.0  # of the mean of what rings yet: little of a tone that decays is left in it
 AT_FIRST = 8  # samples in which noise has driven commands and the loop has not grown yet
 FROM_NOISE = 0.2  # of a command at its limit, that noise has there where it is what drives it
@@ -97,9 +101,21 @@ class FreeResponse:
 
     @property
     def limited(self) -> float:
-        """Largest share of the last quarter that a command stood at its limit."""
+        """Largest share of the last quarter that a command stood at its limit, or a reading."""
+        return max(self._limited)
+
+    @property
+    def what_is_limited(self) -> str:
+        """What stood there longest, a command or a reading."""
+        commands, readings = self._limited
+        return "command" if commands >= readings else "reading"
+
+    @cached_property
+    def _limited(self) -> tuple[float, float]:
         late = self.response.shape[1] // 4
-        return max(float(at_limits(run.inputs[:, -late:], run.actuators).max()) / late for run in self.runs)
+        stood = [np.count_nonzero(used(run)[:, -late:] >= 1.0, axis=1) for run in self.runs]
+        nu = len(self.runs[0].actuators)
+        return tuple(max(float(each[part].max()) / late for each in stood) for part in (slice(nu), slice(nu, None)))
 
     @property
     def rise(self) -> float:
@@ -123,16 +139,13 @@ class FreeResponse:
 
     @property
     def before_limits(self) -> int:
-        """How many samples pass before a command first stands at its limit, in either run."""
+        """How many samples pass before a command or a reading first stands at its limit, in either run."""
         return self.before(1.0)
 
     def before(self, share: float) -> int:
-        """Return how many samples pass before a command first uses this share of its range, in either run."""
+        """Return how many samples pass before a channel first uses this share of its range, in either run."""
         samples = self.response.shape[1]
-        reach = share * ranges(self.runs[0].actuators)[:, None]
-        first = np.flatnonzero(
-            np.any([(np.abs(run.inputs[:, -samples:]) >= reach).any(axis=0) for run in self.runs], axis=0)
-        )
+        first = np.flatnonzero(np.any([(used(run)[:, -samples:] >= share).any(axis=0) for run in self.runs], axis=0))
         return int(first[0]) if first.size else samples
 
     def until(self, samples: int) -> "FreeResponse":
@@ -166,9 +179,58 @@ def near(f_hz: float, others_hz: Iterable[float], samples: int, rate_hz: float) 
     return any(abs(f_hz - other) <= Frames(samples, rate_hz).line_hz(1) for other in others_hz)
 
 
+def used(run: Record) -> FloatArray:
+    """Return which share of its range each command and reading uses, `(nu + ny, samples)`, one at a limit or beyond.
+
+    A command's is counted from zero, a reading's from where it begins; one that begins at its limit uses nothing, as
+    it shows nothing.
+    """
+    return np.vstack([_shares(run.inputs, run.actuators, 0.0), _shares(run.outputs, run.sensors, run.outputs[:, :1])])
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _shares(signals: FloatArray, wires: Sequence[Channel], begun: FloatArray | float) -> FloatArray:
+    low, high = _ends(wires)
+    away = signals - begun
+    shares = np.where(away > 0, away / (high - begun), away / (low - begun))
+    return np.where((begun > low) & (begun < high), shares, 0.0)
+
+
+def _ends(wires: Sequence[Channel]) -> tuple[FloatArray, FloatArray]:
+    low, high = (np.array([getattr(c, end) for c in wires], dtype=np.float64)[:, None] for end in ("low", "high"))
+    return low, high
+
+
 def ranges(channels: Sequence[Channel]) -> FloatArray:
     """Return how far each channel may go to either side of zero, infinite where nothing limits it."""
-    return np.array([min(abs(c.low), abs(c.high)) for c in channels])
+    return np.array([max(0.0, min(-c.low, c.high)) for c in channels])
+
+
+def swings(who: str, actuators: Sequence[Channel]) -> FloatArray:
+    """Return the ranges of actuators.
+
+    Raises:
+        InputError: one of them cannot go to either side of zero, about which a law's commands swing.
+    """
+    own = ranges(actuators)
+    for wire, reach in zip(actuators, own, strict=True):
+        if not reach > 0:
+            raise InputError(
+                f"{who}: '{wire.name}' may be sent {wire.low:g} to {wire.in_unit(wire.high)}, which leaves commands no "
+                f"room about zero; count them from the point it works at, and give limits to either side of that."
+            )
+    return own
+
+
+def rooms(sensors: Sequence[Channel], rest: FloatArray) -> FloatArray:
+    """Return how far each reading may go to either side of where it rests, `rest` `(ny,)`.
+
+    Of a range about zero that is counted from zero: where it rests says little of where it will swing about.
+    """
+    own, (low, high) = ranges(sensors), (end[:, 0] for end in _ends(sensors))
+    aside = own < ASIDE * (high - low)
+    span = np.where(np.isfinite(high - low), high - low, 1.0)
+    return np.where(aside, np.maximum(np.minimum(high - rest, rest - low), LEAST_ROOM * span), own)
 
 
 def kicked(bench: Bench, law: StateSpace | Controller, burst: Burst) -> FreeResponse:
@@ -256,7 +318,9 @@ def _rise(bench: Bench, found: FreeResponse, levels: FloatArray) -> float:
     a, b = (_after(run, 0) for run in found.runs)
     total = a + b
     noise, size = (np.abs(x).max(axis=1) / 2 for x in (total - total.mean(axis=1, keepdims=True), a - b))
-    allowed = USED_RANGE * np.concatenate([ranges(c) for c in (bench.sensors, bench.actuators, bench.actuators)])
+    rest = total[: len(bench.sensors)].mean(axis=1) / 2
+    own = rooms(bench.sensors, rest), ranges(bench.actuators), ranges(bench.actuators)
+    allowed = USED_RANGE * np.concatenate(own)
     # what may hide in the noise is taken to be half of it: a burst raised as if it were nothing ends at the limits
     hidden = np.minimum(noise / 2, allowed[: noise.size] / NEAR)
     reached = np.concatenate([np.maximum(np.sqrt(np.maximum(size**2 - noise**2, 0.0)), hidden), levels])
@@ -271,7 +335,8 @@ def _coloured(burst: Burst, found: FreeResponse, bench: Bench) -> Burst:
     """Return the burst weaker where the loop answers strongly, so that no resonance uses up the range alone."""
     y = np.vstack([np.subtract(*(getattr(run, end) for run in found.runs)) / 2 for end in ("outputs", "inputs")])
     y = y[:, : 2 * burst.length]  # later, what rings longest would count most, and be driven least
-    unit = np.concatenate([ranges(bench.sensors), ranges(bench.actuators)])
+    rest = np.mean([run.outputs.mean(axis=1) for run in found.runs], axis=0)
+    unit = np.concatenate([rooms(bench.sensors, rest), ranges(bench.actuators)])
     own = np.abs(y).max(axis=1)
     unit = np.where(np.isfinite(unit), unit, np.maximum(own, np.finfo(float).tiny))
     size = np.abs(np.fft.rfft(y / unit[:, None], axis=1)).max(axis=0)[1:]

@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InterlockError
 from ultraquiet.bench import Bench
 from ultraquiet.experiments import real_time
-from ultraquiet.simulate.kick import ranges
+from ultraquiet.simulate.kick import ranges, rooms, swings
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sweeps.clock import SweepClock
 from ultraquiet.simulate.sweeps.directions import directions
@@ -134,7 +134,7 @@ class OpenBand:
     @cached_property
     def scale(self) -> FloatArray:
         """Range of each actuator; one where nothing limits any, `(nu,)`."""
-        own = ranges(self.bench.actuators)
+        own = swings("measure_sensitivity", self.bench.actuators)
         finite = np.isfinite(own)
         return np.where(finite, own, own[finite].min() if finite.any() else 1.0)
 
@@ -146,9 +146,15 @@ class OpenBand:
     @cached_property
     def units(self) -> FloatArray:
         """Range of each sensor; where nothing limits it, so many times its noise, or one."""
-        own = ranges(self.bench.sensors)
+        own = rooms(self.bench.sensors, self.resting.readings.mean(axis=1))
         loud = LOUD * self.quiet_rms
         return np.where(np.isfinite(own), own, np.where(loud > 0, loud, 1.0))
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """Where readings are counted from: zero, or where one rests whose range does not lie about zero, `(ny,)`."""
+        aside = np.isfinite(self.units) & (self.units != ranges(self.bench.sensors))
+        return np.where(aside, self.resting.readings.mean(axis=1), 0.0)
 
     @cached_property
     def shapes(self) -> ComplexArray:
@@ -283,7 +289,7 @@ class OpenBand:
             for row, size in zip(x, unit, strict=True)
         ]
         for k in np.flatnonzero(limited):
-            used[k] = used[k] + abs(rest[k]) / self.units[k]  # an offset uses up the range
+            used[k] = used[k] + abs(rest[k] - self.centre[k]) / self.units[k]  # an offset uses up the range
         padded = np.pad(np.max(used, axis=0), REACH, mode="edge")
         around = np.max(np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH + 1), axis=1)
         return np.clip(USED_RANGE / np.maximum(around, 1e-12), 1 / RAISED_BY, RAISED_BY)

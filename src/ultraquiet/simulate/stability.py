@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
+from ultraquiet._base.errors import BenchError, InputError, UltraquietError, of_the_loop
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
 from ultraquiet.simulate.growth.lowered import within_limits
@@ -26,7 +26,7 @@ from ultraquiet.simulate.growth.verdict import (
     rises,
     told,
 )
-from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
+from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, swings, tones_alone, with_tones
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sweeps.rest import OFFSET
 from ultraquiet.values import StateSpace, Status, StatusWord
@@ -115,9 +115,11 @@ def check_stability(
 
     Raises:
         InputError: a duration too short to see anything; a law or model that does not fit.
-        InterlockError: a bench in real time came too late, which is no fault of the law.
+        InputError: an actuator that may not go to either side of zero.
+        BenchError: the bench failed, came too late or was stopped by hand, which is no fault of the law.
     """
     longest = _longest(bench.rate_hz, duration_s)
+    swings("check_stability", bench.actuators)
     disturb(bench, np.zeros((len(bench.actuators), 2)), controller)  # a law that does not fit is refused, not judged
     beside = (None, None) if model is None else _with_model(model, controller)
     try:
@@ -127,8 +129,8 @@ def check_stability(
         if seen.word is StatusWord.OK:
             seen = sticking(bench, controller, bursts, seen) or ramping(bench, _linear(controller), seen) or seen
     except UltraquietError as error:
-        if isinstance(error, InterlockError) and error.of_time:
-            raise  # a machine that came too late says nothing of the law
+        if isinstance(error, BenchError) and not of_the_loop(error):
+            raise  # a cable, a machine that came too late, an emergency stop: they say nothing of the law
         silent = [np.full(len(c), np.nan) for c in (bench.sensors, bench.actuators)]
         status = Status(StatusWord.UNSTABLE, f"The loop runs away on this bench: {error}")
         return LoopCheck(status, silent[0], silent[1], np.nan, np.nan, np.nan, 0.0, *beside)
@@ -206,7 +208,7 @@ def _told_from_outside(
 def _at_limits(
     bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse, before: Seen | None
 ) -> Seen:
-    """Judge a loop whose commands stand at their limits however weak the burst, as noise alone may drive a stable one.
+    """Judge a loop that stands at its limits however weak the burst, as noise alone may drive a stable one.
 
     It is unstable where it was seen to grow before it first touched its limits, where noise grew to them faster than
     what a stable loop heaps up, and where noise alone does not drive it there but a burst that is heard above it.
@@ -229,7 +231,7 @@ def _at_limits(
     if by_itself:
         return replace(seen, mode=mode)
     hum = f"A hum at {found.hums_hz[0]:.4g} Hz" if found.hums_hz else ""
-    alone_says = f"{hum or _what_drives(bench)} alone drives a command to its limit"
+    alone_says = f"{hum or _what_drives(bench)} alone drives a {found.what_is_limited} to its limit"
     sentence = f"{alone_says}, where it stays for {found.limited:.0%} of the last quarter."
     return replace(seen, word=None, mode=mode, sentence=sentence)
 

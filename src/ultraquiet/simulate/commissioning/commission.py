@@ -20,6 +20,7 @@ from ultraquiet.simulate.commissioning.injection import (
     open_levels,
 )
 from ultraquiet.simulate.commissioning.margins import disk_margin_of, foreseen, peak_db
+from ultraquiet.simulate.kick import swings
 from ultraquiet.simulate.stability import check_stability
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
@@ -209,8 +210,8 @@ def _ended(steps: list[CommissioningStep], sentence: str) -> Commissioning:
 
 
 def _levels(bench: Bench) -> FloatArray:
-    reach = np.array([min(abs(c.low), abs(c.high)) for c in bench.actuators])
-    return np.where(np.isfinite(reach) & (reach > 0), COMMAND_SHARE * reach, 1.0)
+    reach = swings(WHO, bench.actuators)
+    return np.where(np.isfinite(reach), COMMAND_SHARE * reach, 1.0)
 
 
 def _rising(gains: Sequence[float]) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench, Streaming
+from ultraquiet.simulate.kick import ranges, rooms
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
@@ -18,6 +19,7 @@ from ultraquiet.values.controller import Controller
 WHO = "commission"
 PERIODS = 2  # measured; what they differ by is noise
 NEAR = 9  # lines that share an estimate of noise
+LOWERINGS = 12  # of an injection that drives a reading to its limit, where no more is seen of how far it would go
 PER_OCTAVE, MANY = 16, 8  # lines of an injection, and of one stretch at least
 
 
@@ -202,16 +204,31 @@ def open_levels(bench: Bench, injection: Injection, share: float, settle: int, m
     """Return a level for each actuator, `most` at most, at which no reading exceeds `share` of its range without a law.
 
     Raises:
-        InputError: an actuator that moves no sensor.
+        InputError: an actuator that moves no sensor, or reaches a limit however little is sent to it.
     """
     levels = most.copy()
-    reach = np.array([min(abs(c.low), abs(c.high)) for c in bench.sensors])
     for j in range(levels.size):
-        actuation = np.zeros((levels.size, injection.period.size + settle))
-        actuation[j] = levels[j] * injection.run(settle)[: actuation.shape[1]]
-        largest = np.abs(bench.run(actuation).outputs).max(axis=1)
-        if not largest.any():
-            raise InputError(f"{WHO}: '{bench.actuators[j].name}' moves no sensor.")
-        used = float(np.max(np.where(np.isfinite(reach), largest / reach, 0.0)))
-        levels[j] *= min(1.0, share / used) if used else 1.0
+        for _ in range(LOWERINGS):
+            actuation = np.zeros((levels.size, injection.period.size + settle))
+            actuation[j] = levels[j] * injection.run(settle)[: actuation.shape[1]]
+            y = bench.run(actuation).outputs
+            if not y.any():
+                raise InputError(f"{WHO}: '{bench.actuators[j].name}' moves no sensor.")
+            clipped = np.any(at_limits(y, bench.sensors))
+            levels[j] *= share if clipped else min(1.0, share / max(_used(bench, y), share))
+            if not clipped:
+                break
+        else:
+            raise InputError(
+                f"{WHO}: a reading stands at its limit however little '{bench.actuators[j].name}' is sent."
+            )
     return levels
+
+
+def _used(bench: Bench, y: FloatArray) -> float:
+    """Return the largest share of a reading's range that was used, about zero or where the reading rests."""
+    rest = y.mean(axis=1)
+    room = rooms(bench.sensors, rest)
+    about_zero = room == ranges(bench.sensors)
+    swing = np.where(about_zero, np.abs(y).max(axis=1), np.abs(y - rest[:, None]).max(axis=1))
+    return float(np.max(np.where(np.isfinite(room), swing / room, 0.0)))

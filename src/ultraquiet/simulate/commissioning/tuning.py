@@ -14,6 +14,7 @@ from ultraquiet.design import DesignResult
 from ultraquiet.identify import Rational
 from ultraquiet.simulate.commissioning.injection import Injection, MeasuredResponse, measured_response, open_levels
 from ultraquiet.simulate.commissioning.stretches import blended, stretches
+from ultraquiet.simulate.kick import swings
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.status import Status
 
@@ -95,8 +96,8 @@ def tune_in_place(
     with task("tuning in place", 3) as progress:
         clock = time.process_time()
         passes = stretches(edges, periods, (PER_OCTAVE[:far] + PER_OCTAVE)[: len(periods)], rate)
-        most = np.array([min(abs(c.low), abs(c.high)) for c in bench.actuators])
-        levels = np.where(np.isfinite(most) & (most > 0), COMMAND_SHARE * most, 1.0)
+        most = swings(WHO, bench.actuators)
+        levels = np.where(np.isfinite(most), COMMAND_SHARE * most, 1.0)
         parts = [_recorded(bench, each, levels, settle) for each in passes]
         clock = _spent(spent, "record", clock)
         progress.advance(note="recorded")

@@ -11,21 +11,20 @@ from itertools import chain
 
 import numpy as np
 
-from ultraquiet._base.errors import InterlockError
+from ultraquiet._base.errors import InterlockError, of_the_loop
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE
 from ultraquiet.simulate.growth.lowered import within_limits
 from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, LONGER, Seen, apart, decaying_before, judged, loudness
-from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, ranges, tones_alone
+from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, tones_alone, used
 from ultraquiet.values import Record, StateSpace, StatusWord
-from ultraquiet.values.channel import stands_at_limits
 from ultraquiet.values.controller import Controller
 
 # Both bursts differ by less than this in the end, after so many in between; out of proportion is so many times more.
 NEAR, BETWEEN, OUT_OF_PROPORTION = 1.3, 6, 3.0
 # Modes that are given a tone of their own; they decay by less than this in e-folds within a burst.
 MOST_ALONE, RINGS = 6, 100.0
-JUST_BEFORE = 16  # samples before a command first stands at its limit
+JUST_BEFORE = 16  # samples before a channel first stands at its limit
 # Of what a burst set going, nothing to speak of; of what it was three eighths of a record before, less.
 DEAD, FALLING = 0.01, 0.5
 _Heard = tuple[Burst, FreeResponse]
@@ -44,7 +43,7 @@ def sticking(bench: Bench, law: StateSpace | Controller, bursts: Bursts, seen: S
             begun = tones_alone(bench, law, known, known.modes_hz) if known.modes_hz else known
             grown = _grown(bench, law, louder(bench, law, begun), seen)
         except InterlockError as error:
-            if error.of_time:
+            if not of_the_loop(error):
                 raise
             continue
         if grown is not None:
@@ -118,10 +117,10 @@ def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: S
         loud, weak = _nearer(bench, law, loud, weak)
         times = OUT_OF_PROPORTION * _ratio(loud, weak)
         if any(_out_of_proportion(*runs, times) for runs in zip(loud[1].runs, weak[1].runs, strict=True)):
+            after = f"After a burst of {_size(bench, loud[0])} {loud[1].what_is_limited}s stay at their limits"
             sentence = (
-                f"After a burst of {_size(bench, loud[0])} commands stay at their limits, out of proportion to one of "
-                f"{_size(bench, weak[0])}, after which it dies: the bench does more for a loud command, as where "
-                "something sticks until it gives way, and there the loop grows."
+                f"{after}, out of proportion to one of {_size(bench, weak[0])}, after which it dies: the bench does "
+                "more for a loud command, as where something sticks until it gives way, and there the loop grows."
             )
             return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence, record=loud[1])
         if loud[0].samples >= _longest(seen):
@@ -150,13 +149,13 @@ def _ratio(loud: _Heard, weak: _Heard) -> float:
 
 
 def _out_of_proportion(loud: Record, weak: Record, times: float) -> bool:
-    """Return whether commands just before they meet their limits are so many times those of the weaker burst."""
-    first = np.flatnonzero(stands_at_limits(loud.inputs, loud.actuators).any(axis=0))
+    """Return whether channels just before one meets its limit use so many times what they do after the weaker burst."""
+    shares = used(loud)
+    first = np.flatnonzero((shares >= 1.0).any(axis=0))
     if not first.size:
         return False
     window = slice(max(0, first[0] - JUST_BEFORE), first[0])
-    reach = ranges(loud.actuators)[:, None]
-    there = (float((np.abs(run.inputs[:, window]) / reach).max(initial=0.0)) for run in (loud, weak))
+    there = (float(each[:, window].max(initial=0.0)) for each in (shares, used(weak)))
     return next(there) > times * next(there)
 
 

@@ -60,10 +60,12 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
     grown = rise(powers(record.noise))
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
     if record.limited > LIMITED_SHARE:
-        sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
+        stood = f"A {record.what_is_limited} stood at its limit for {record.limited:.0%}"
+        sentence = f"{stood} of the last quarter of {span:.3g} s."
         seen = replace(seen, word=StatusWord.UNSTABLE, sentence=sentence)
     elif record.limited > CLIPPED_SHARE:
-        sentence = f"Without a burst a command stood at its limit for {record.limited:.1%} of the last quarter."
+        what = record.what_is_limited
+        sentence = f"Without a burst a {what} stood at its limit for {record.limited:.1%} of the last quarter."
         seen = replace(seen, sentence=sentence)
     elif growing is not None:
         slow = growing.growth_per_s * span < 1.0

@@ -15,6 +15,7 @@ OFFSET, SETTLED = 3.0, 5.0
 # run and of so many lines beside, which chance never has, and so much of a run's size.
 RINGS, BESIDE, ROUNDED = 24.0, 4, 1e-12
 KAISER = 14.0
+SMOOTH = 4.0  # periods of the lowest line
 NOISE_LINES = 24  # the noise of a line is the mean of so many neighbours to either side
 LOUDEST = 64  # tones that ring on, at most
 LOBE, UNSURE = 2, 0.1  # bins to either side in which a window shows one tone, and how far from where it seems it may be
@@ -82,7 +83,8 @@ class Quiet:
         if offset is None:
             return y
         known = np.repeat(offset[:, None], y.shape[1], axis=1)
-        start = self._startup
+        start, later = self._startup, self._later
+        known[:, : later.shape[1]] = later
         known[:, : start.shape[1]] = start
         return np.asarray(y - known)
 
@@ -90,6 +92,23 @@ class Quiet:
     @cached_property
     def _startup(self) -> FloatArray:
         return startup(self.readings)
+
+    @cached_property
+    def _later(self) -> FloatArray:
+        """What moves on, slowly, where the beginning has not come to rest by half a run; empty where it has.
+
+        Smoothed over so many periods of the lowest line that the noise of no line is taken away with it.
+        """
+        from scipy.signal import fftconvolve
+
+        y = self.readings
+        if self._startup.shape[1] < y.shape[1] // 2:
+            return y[:, :0]
+        window = np.hanning(2 * round(SMOOTH * self.sweep.rate_hz / self.sweep.low_hz / 2) + 1)
+        half = window.size // 2
+        ends = 2 * y[:, :1] - y[:, half:0:-1], 2 * y[:, -1:] - y[:, -2 : -half - 2 : -1]  # odd about the last reading
+        padded = np.hstack([ends[0], y, ends[1]])
+        return np.stack([fftconvolve(row, window / window.sum(), "valid") for row in padded])
 
     @cached_property
     def _spread(self) -> FloatArray:
