@@ -237,6 +237,44 @@ def test_units_change_no_states(first_seed, size):
     assert np.abs(difference).max() < 1e-6 * np.abs(G.values).max()
 
 
+@pytest.mark.parametrize("channels", [(1, 1), (4, 3), (3, 5)])
+def test_no_channel_is_missed_for_the_unit_it_is_recorded_in(first_seed, channels):
+    rng = np.random.default_rng(first_seed)
+    plant, _ = random_modal(rng, 3, *channels[::-1])
+    f = np.arange(1, 1700.0)
+    G = measured_with_noise(rng, plant, f, 1e-2)
+    assert G.variance is not None
+    units = 10.0 ** rng.uniform(-3, 3, (channels[0], 1, 1)) * 10.0 ** rng.uniform(-3, 3, (1, channels[1], 1))
+    other = uq.FrequencyResponse(f, units * G.values, variance=units**2 * G.variance)
+    one, two = (uq.identify.Rational(order=6).identify_response(g, RATE_HZ) for g in (G, other))
+    assert one.status == two.status
+    assert one.model.states == two.model.states
+    difference = two.model.frequency_response(f) / units - one.model.frequency_response(f)
+    missed = one.model.frequency_response(f) - plant.frequency_response(f)
+    print(f"apart by {np.abs(difference).max():.1e}, off the truth by {np.abs(missed).max():.1e}")
+    assert np.abs(difference).max() < 1e-3 * np.abs(missed).max()
+
+
+def test_a_silent_sensor_of_any_unit_hides_no_line_of_another(first_seed):
+    rng = np.random.default_rng(first_seed)
+    plant, _ = random_modal(rng, 3, 1, 1)
+    f = np.arange(1, 1700.0)
+    G = measured_with_noise(rng, plant, f, 1e-3)
+    assert G.variance is not None
+    noise = rng.standard_normal((3, 1, f.size)) + 1j * rng.standard_normal((3, 1, f.size))
+    for unit in (1e-6, 1.0, 1e6):
+        both = uq.FrequencyResponse(
+            f,
+            np.concatenate([G.values, unit * noise / np.sqrt(2)]),
+            variance=np.concatenate([G.variance, np.full((3, 1, f.size), unit**2)]),
+        )
+        fit = uq.identify.Rational(order=6).identify_response(both, RATE_HZ)
+        missed = np.abs(fit.model.frequency_response(f)[:1] - plant.frequency_response(f)).max()
+        print(f"unit {unit:g}: off by {missed / np.abs(G.values).max():.1e}")
+        assert fit.status.ok
+        assert missed < 0.01 * np.abs(G.values).max()
+
+
 def test_the_zero_at_dc_outlasts_the_leaving_of_modes():
     truth = uq.bench.Hexapod(unit="ground").linear_model()
     f = np.geomspace(1, 1700, 400)

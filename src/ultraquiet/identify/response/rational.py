@@ -13,6 +13,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.data import told_by_lines
+from ultraquiet.identify.response.even_units import EvenUnits
 from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
 from ultraquiet.identify.response.resolution import blurred
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
@@ -78,9 +79,10 @@ class ResponseFit:
 class Rational(SearchedOrder):
     """Fit G(z) = z^(1 - delay) sum_k R_k / (z - p_k) to a frequency response, relative to its size.
 
-    The error at a line is divided by the RMS gain g(f) of the response there and by sqrt(floor^2 + (sigma/g)^2), sigma
-    the noise of the line: weak bands count as much as strong ones, noisy lines less. Every other line is held out, to
-    choose the order and to judge the fit.
+    Sensors and actuators are first given units in which their gains are alike in size, so that none is missed for the
+    unit that it is recorded in. The error at a line is divided by the RMS gain g(f) of the response there and by
+    sqrt(floor^2 + (sigma/g)^2), sigma the noise of the line: weak bands count as much as strong ones, noisy lines less.
+    Every other line is held out, to choose the order and to judge the fit.
 
     A mode of a structure has one shape at the sensors and one at the actuators, a residue of rank one; noise makes the
     rank full. So of all directions of all residues only those stay whose loss the held-out lines would notice, poles
@@ -175,7 +177,7 @@ class Rational(SearchedOrder):
             InputError: lines beyond half the rate, too few lines for the order or too far apart for the delay, a
                 response that is zero, or one of which no residue reaches `rank_tolerance`.
         """
-        f, G, weight = _checked(self, response, rate_hz)
+        f, G, weight, units = _checked(self, response, rate_hz)
         told_by_lines("Rational", "delay", (self.delay - 1) / rate_hz, response.f_hz)
         z = points(f, rate_hz)
         H = G * z ** (self.delay - 1)
@@ -189,11 +191,13 @@ class Rational(SearchedOrder):
         worth = WORTH * max(self.floor, errors_by_order[best])
         chosen = min(n for n, e in errors_by_order.items() if e <= np.hypot(errors_by_order[best], worth))
         goal = max(errors_by_order[chosen], EXACT * self.floor)
-        model = _realised(self, _fitted(self, whole, fits[chosen].poles), f, rate_hz, weight, response)
+        blocks = _realised(self, _fitted(self, whole, fits[chosen].poles), z, weight)
+        model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
         error = fits[chosen].error, errors_by_order[chosen]
         lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth))
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
-            model = _assembled(self, _blocks(settled(lean.modes, whole, worth)), rate_hz, response)
+            blocks = _blocks(settled(lean.modes, whole, worth))
+            model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
             error = lean.error, lean.held_out
         poles = {n: fit.poles for n, fit in fits.items()}
         return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order, poles)
@@ -232,16 +236,17 @@ def _falling(errors: dict[int, float], worth: float) -> bool:
 
 def _checked(
     method: Rational, response: FrequencyResponse, rate_hz: float
-) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return lines, gains and weights `(nf,)`, thinned and cleared of the lines that say nothing."""
-    f, G = response.f_hz, response.values
+) -> tuple[FloatArray, ComplexArray, FloatArray, EvenUnits]:
+    """Return lines, gains in even units, weights `(nf,)`, thinned and cleared of lines that say nothing, and units."""
+    f = response.f_hz
     positive("Rational", "rate_hz", rate_hz, "Hz")
     if f.size and f[-1] > rate_hz / 2:
         raise InputError(
             f"Rational: lines up to {f[-1]:g} Hz contradict a rate of {rate_hz:g} Hz; half of it is the limit."
         )
+    G, variance, units = _evened(response, (f > 0) & (f < rate_hz / 2), method.floor)
     size = np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 1)) * max(G.shape[:2]))
-    noise = np.zeros_like(size) if response.variance is None else np.mean(response.variance, axis=(0, 1))
+    noise = np.mean(variance, axis=(0, 1))
     noise_share = noise * max(G.shape[:2]) / np.where(size > 0, size, 1.0) ** 2
     keep = (size > 0) & (f > 0) & (f < rate_hz / 2) & (noise_share < HIDDEN**2)
     most = method.most_lines or int(np.clip(GAINS // (G.shape[0] * G.shape[1]), *LINES))
@@ -254,7 +259,18 @@ def _checked(
         )
     weight = 1.0 / (np.where(size > 0, size, 1.0) * np.sqrt(method.floor**2 + noise_share))
     # The error then reads as a share of the response where noise does not matter.
-    return f[keep], G[:, :, keep], weight[keep] * method.floor
+    return f[keep], G[:, :, keep], weight[keep] * method.floor, units
+
+
+def _evened(
+    response: FrequencyResponse, inside: np.ndarray, floor: float
+) -> tuple[ComplexArray, FloatArray, EvenUnits]:
+    """Return gains and variance in the units in which they are even at the lines `inside`, and these units."""
+    G = response.values
+    variance = np.zeros(G.shape) if response.variance is None else response.variance
+    units = EvenUnits.of_gains(G[:, :, inside], variance[:, :, inside], floor)
+    square = EvenUnits(units.rows**2, units.columns**2)
+    return units.evened(G), square.evened(variance.astype(np.complex128)).real, units
 
 
 def _thin(f: FloatArray, most: int) -> np.ndarray:
@@ -304,15 +320,9 @@ def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray, span: i
 
 
 def _realised(
-    method: Rational,
-    fit: vector_fitting.PoleResidueFit,
-    f: FloatArray,
-    rate_hz: float,
-    weight: FloatArray,
-    response: FrequencyResponse,
-) -> StateSpace:
+    method: Rational, fit: vector_fitting.PoleResidueFit, z: ComplexArray, weight: FloatArray
+) -> list[pole_residue.Block]:
     """Return real blocks of the poles, each with as many copies as its residue has directions that matter."""
-    z = points(f, rate_hz)
     blocks: list[pole_residue.Block] = []
     k = 0
     while k < fit.poles.size:
@@ -324,7 +334,7 @@ def _realised(
             f"Rational: no residue of order {fit.poles.size} reaches {method.rank_tolerance:g} of the response, so "
             f"nothing would be left; lower 'rank_tolerance', or measure a response that stands above its noise."
         )
-    return _assembled(method, blocks, rate_hz, response)
+    return blocks
 
 
 def _blocks(modes: rank_one.RankOneModes) -> list[pole_residue.Block]:
