@@ -106,6 +106,20 @@ def test_too_low_an_order_is_not_called_white(rng):
     assert fit.status.word == "not white"
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_no_output_of_a_record_is_missed_for_its_unit(unit, rng):
+    plant = resolved(rng, 2, 1, 2)
+    u = rng.standard_normal((1, 2000))
+    y = plant.simulate(u)
+    y = y + 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    method = uq.identify.WeightedRational(order=4)
+    one, other = (method.identify(uq.Record(u, y * [[1.0], [k]], RATE_HZ)) for k in (1.0, unit))
+    print(one.fit_percent, other.fit_percent, other.status)
+    assert other.status.word == one.status.word
+    assert np.abs(other.fit_percent - one.fit_percent).max() < 1e-3
+    assert one.fit_percent.min() > 95
+
+
 @pytest.mark.parametrize("rate_hz", [None, RATE_HZ])
 def test_the_delay_is_estimated(rate_hz, rng):
     plant = resolved(rng, 2, 1, 1, rate_hz)

@@ -12,7 +12,7 @@ from ultraquiet.spectra import best_linear, local_polynomial
 from ultraquiet.values import Channel, FrequencyResponse, Record
 
 WHO = "WeightedRational"
-# Noise below this share of the largest is rounding; a weight from it would hold the fit at one line.
+# Noise below this share of its channel's largest is rounding; a weight from it would hold the fit at one line.
 FAINTEST = 1e-12
 
 
@@ -140,4 +140,7 @@ def _known(response: FrequencyResponse) -> FloatArray:
 
 
 def _not_faint(power: FloatArray) -> FloatArray:
-    return np.maximum(power, FAINTEST * power.max(where=np.isfinite(power), initial=0.0))
+    """Return power `(..., nf)`, raised where rounding hides it; of a channel without noise the others tell how far."""
+    known = np.isfinite(power)
+    own = power.max(axis=-1, where=known, initial=0.0, keepdims=True)
+    return np.maximum(power, FAINTEST * np.where(own > 0, own, power.max(where=known, initial=0.0)))

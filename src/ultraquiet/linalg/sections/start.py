@@ -11,7 +11,7 @@ from ultraquiet.linalg.vector_fitting import paired, relocated_in_s
 RELOCATIONS = 8
 # Every so-manieth line is enough to start from.
 MOST_LINES = 600
-# Gains below this share of the largest are weighed as if they were that large.
+# Gains below this share of their channel's largest are weighed as if they were that large.
 FAINT = 1e-3
 # Starting poles: relative damping of the pairs.
 DAMPING = 0.02
@@ -42,7 +42,10 @@ def starts(
     s, scale = _axis(samples)
     some = slice(None, None, 1 + s.size // max(MOST_LINES, 2 * shape.order))
     s, H, weight = s[some], H[:, :, some], weight[:, :, some]
-    relative = np.where(weight > 0, 1.0 / np.maximum(np.abs(H), FAINT * np.abs(H).max()), 0.0)
+    size = np.abs(H)
+    largest = size.max(axis=2, keepdims=True)
+    raised = np.maximum(size, FAINT * np.where(largest > 0, largest, 1.0))
+    relative = np.where(weight > 0, 1.0 / raised, 0.0)
     constant = shape.direct or samples.rate_hz is not None
     for w, poles in zip((weight, relative), spreads(s, shape.order), strict=True):
         p = poles
