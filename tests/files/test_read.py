@@ -244,3 +244,72 @@ def test_exported_records_come_back(tmp_path, rng):
         files.export_record(struts, tmp_path / "a.mat", overwrite=False)
     with pytest.raises(InputError, match="none of the suffixes"):
         files.export_record(struts, tmp_path / "a.xlsx")
+
+
+def two_runs(place, **each):
+    """A file of two structures, and what `each` holds for the first and the second of them beside u and y."""
+    u, y = np.random.default_rng(0).standard_normal((2, 50))
+    runs = {f"run{k}": {name: values[k - 1] for name, values in each.items()} | {"u": u, "y": y} for k in (1, 2)}
+    if place.suffix == ".mat":
+        scipy.io.savemat(place, runs)
+        return place
+    with h5py.File(place, "w") as file:
+        for run, held in runs.items():
+            group = file.create_group(run)
+            for name, value in held.items():
+                if np.ndim(value):
+                    group[name] = value
+                else:
+                    group.attrs[name] = value
+    return place
+
+
+STAMPS = np.arange(50.0)
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".h5"])
+@pytest.mark.parametrize(
+    "each",
+    [
+        {"fs": (1000.0, 2000.0)},
+        {"dt": (1e-3, 5e-4)},
+        {"t": (STAMPS / 1000.0, STAMPS / 2000.0)},
+        {"time_ms": (STAMPS, STAMPS / 2.0)},
+    ],
+)
+def test_a_record_goes_by_the_clock_that_stands_beside_its_channels(tmp_path, suffix, each):
+    path = two_runs(tmp_path / f"runs{suffix}", **each)
+    for k, rate_hz in ((1, 1000.0), (2, 2000.0)):
+        assert read(path, inputs=f"run{k}.u", outputs=f"run{k}.y").rate_hz == rate_hz
+    with pytest.raises(InputError, match=r"differ in rate: run1.u \(1000 Hz\), run2.y \(2000 Hz\)"):
+        read(path, inputs="run1.u", outputs="run2.y")
+    assert read(path, 500.0, "run1.u", "run2.y").rate_hz == 500.0
+    looks = {look.name: look.rate_hz for look in files.survey(path).channels}
+    assert looks == {"run1.u": 1000.0, "run1.y": 1000.0, "run2.u": 2000.0, "run2.y": 2000.0}
+
+
+def test_channels_whose_clocks_begin_apart_are_no_record(tmp_path):
+    path = two_runs(tmp_path / "runs.mat", t=(STAMPS / 1000.0, 5.0 + STAMPS / 1000.0))
+    assert read(path, inputs="run2.u", outputs="run2.y").rate_hz == 1000.0
+    with pytest.raises(InputError, match=r"do not start together: run1.u \(0 s\), run2.y \(5 s\)"):
+        read(path, inputs="run1.u", outputs="run2.y")
+
+
+def test_a_rate_that_stands_elsewhere_in_the_file_holds_where_it_is_the_only_one(tmp_path):
+    u, y = np.random.default_rng(0).standard_normal((2, 50))
+    one, two = tmp_path / "one.mat", tmp_path / "two.mat"
+    scipy.io.savemat(one, {"setup": {"fs": 1000.0}, "run": {"u": u, "y": y}})
+    scipy.io.savemat(two, {"setup": {"fs": 1000.0}, "other": {"fs": 2000.0}, "run": {"u": u, "y": y}})
+    assert read(one).rate_hz == 1000.0
+    with pytest.raises(InputError, match=r"several sampling rates, none of them beside 'run.u'; give its own"):
+        read(two)
+
+
+def test_signals_in_memory_start_together():
+    stamps = STAMPS / 1000.0
+    u, y = np.random.default_rng(0).standard_normal((2, 50))
+    force = {"data": u, "name": "force", "unit_str": "N", "time": 5.0 + stamps}
+    speed = {"data": y, "name": "speed", "unit_str": "m/s", "time": stamps}
+    assert files.from_sep005([force, speed | {"time": 5.0 + stamps}], "force", "speed").rate_hz == 1000.0
+    with pytest.raises(InputError, match=r"do not start together: force \(5 s\), speed \(0 s\)"):
+        files.from_sep005([force, speed], "force", "speed")

@@ -34,7 +34,8 @@ def assemble(
     rate = table.rate_hz(columns) if rate_hz is None else rate_hz
     # Checked here already: the cut and the starts are counted in samples.
     positive("read_record", "rate_hz", rate, "Hz")
-    _together(table, columns, rate)
+    # Stamps that a given rate overrides tell no start either.
+    _together(table, columns, rate, [table.start_s(c) if rate_hz is None else c.start_s for c in columns])
     rows = _rows(table, columns[0].values.size, rate, crop_s)
     for c in columns:
         _sound(table, c, rows)
@@ -53,10 +54,9 @@ def _channel(c: Column) -> Channel:
     return Channel(c.name, c.unit, c.low, c.high)
 
 
-def _together(table: FileTable, columns: Sequence[Column], rate_hz: float) -> None:
-    starts = [c.start_s for c in columns]
+def _together(table: FileTable, columns: Sequence[Column], rate_hz: float, starts: Sequence[float]) -> None:
     if (max(starts) - min(starts)) * rate_hz > JITTER:
-        listing = ", ".join(f"{c.name} ({c.start_s:g} s)" for c in columns)
+        listing = ", ".join(f"{c.name} ({start:g} s)" for c, start in zip(columns, starts, strict=True))
         raise InputError(f"read_record: channels of '{table.path}' do not start together: {listing}; align them first.")
 
 

@@ -22,11 +22,12 @@ def inputs_and_outputs(table: FileTable, inputs: Choice, outputs: Choice) -> Pic
     if inputs is None:
         return _speaking(table)
     picked = _both(table, inputs, outputs)
-    clock = table.time
-    if clock is not None and any(c is clock for c in (*picked[0], *picked[1])):
+    clock = next((c for c in (*picked[0], *picked[1]) if table.is_clock(c)), None)
+    if clock is not None:
+        numbered = ", ".join(f"{k} {c.name}" for k, c in enumerate(table.columns, 1) if not table.is_clock(c))
         raise InputError(
             f"read_record: '{clock.name}' is the clock of '{table.path}', no signal; leave it away. Numbers count "
-            f"all columns: {', '.join(f'{k} {c.name}' for k, c in enumerate(table.columns, 1) if c is not clock)}."
+            f"all columns: {numbered}."
         )
     return picked
 
@@ -151,7 +152,7 @@ def _speaking(table: FileTable) -> Picked:
     one_table = len({c.variable for c in signals}) == 1
     if one_table and len(signals) == 2 and not is_ramp(signals[0].values):
         return [signals[0]], [signals[1]]
-    first = 1 + (bool(table.columns) and table.columns[0] is table.time)
+    first = 1 + (bool(table.columns) and table.is_clock(table.columns[0]))
     numbers = f" or by number, as in --inputs {first}-{first + 1} --outputs {first + 2}" if one_table else ""
     raise InputError(
         f"read_record: '{table.path}' does not say what goes in and what comes out; it holds {table.describe()}; "

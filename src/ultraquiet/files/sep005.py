@@ -75,7 +75,7 @@ def _columns(k: int, signal: Mapping[str, Any]) -> list[Column]:
     rows = np.atleast_2d(np.asarray(signal["data"], dtype=np.float64))
     if rows.ndim != 2:
         raise InputError(f"from_sep005: '{name}' has data of shape {rows.shape}; it would take (n,) or (channels, n).")
-    rate_hz = float(signal["fs"]) if "fs" in signal else _clock(name, signal["time"], rows.shape[1])
+    rate_hz, start_s = (float(signal["fs"]), 0.0) if "fs" in signal else _clock(name, signal["time"], rows.shape[1])
     limits = {key: float(signal[key]) for key in ("low", "high") if key in signal}
     bare = name.removesuffix(f" ({role})") if role else name
     return [
@@ -86,14 +86,16 @@ def _columns(k: int, signal: Mapping[str, Any]) -> list[Column]:
             name,
             role,
             rate_hz,
+            start_s,
             **limits,
         )
         for i, row in enumerate(rows)
     ]
 
 
-def _clock(name: str, time: Any, samples: int) -> float:
+def _clock(name: str, time: Any, samples: int) -> tuple[float, float]:
+    """Return the rate that stamps show, and the first of them, seconds."""
     stamps = np.asarray(time, dtype=np.float64)
     if stamps.shape != (samples,):
         raise InputError(f"from_sep005: '{name}' has {samples} samples but time of shape {stamps.shape}.")
-    return clock_hz(name, Column("time", stamps, "s"))
+    return clock_hz(name, Column("time", stamps, "s")), float(stamps[0])

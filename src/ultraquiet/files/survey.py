@@ -125,8 +125,8 @@ def _noted(notes: list[str], ask: Callable[[], float]) -> float | None:
 
 
 def _with_rate(table: FileTable, looks: tuple[Look, ...], rate_hz: float | None) -> tuple[Look, ...]:
-    own = [c.rate_hz for c in table.signals]
-    return tuple(replace(c, rate_hz=mine or rate_hz) for c, mine in zip(looks, own, strict=True))
+    own = [c.rate_hz or rate_hz or _noted([], lambda c=c: table.rate_hz([c])) for c in table.signals]
+    return tuple(replace(look, rate_hz=mine) for look, mine in zip(looks, own, strict=True))
 
 
 def _look(c: Column) -> Look:

@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,10 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class FileTable:
-    """All columns of a file, its scalars by lower-case name, and which of its variables are no columns, with shapes.
+    """All columns of a file, its scalars by name, and which of its variables are no columns, with shapes.
 
+    A scalar's name is whole, `run1.fs`, its last field in lower case. A rate or a clock holds for the structure, or the
+    group, that it stands in and for all within; one that stands beside them for all that have none of their own.
     `first_line` is the line of a text file on which its first sample stands, where each next one has the next line.
     """
 
@@ -60,20 +63,25 @@ class FileTable:
     unusable: tuple[str, ...] = ()
     first_line: int | None = None
 
-    @property
-    def time(self) -> Column | None:
-        """The column of time stamps, when one is named so."""
-        return next((c for c in self.columns if not c.role and _last(c.name) in TIME_NAMES), None)
+    @cached_property
+    def clocks(self) -> Mapping[str, Column]:
+        """The columns of time stamps that are named so, the first of each structure, by the structure's name."""
+        named = [c for c in self.columns if not c.role and _last(c.name) in TIME_NAMES]
+        return {c.variable.rpartition(".")[0]: c for c in reversed(named)}
+
+    def is_clock(self, column: Column) -> bool:
+        """Return whether a column is one of time stamps."""
+        return any(column is clock for clock in self.clocks.values())
 
     @property
     def signals(self) -> tuple[Column, ...]:
         """All columns but time."""
-        return tuple(c for c in self.columns if c is not self.time)
+        return tuple(c for c in self.columns if not self.is_clock(c))
 
     @property
     def unnamed_clock(self) -> Column | None:
         """The first column that rises evenly, where none is named time: a clock under a name of its own, or a ramp."""
-        if self.time is not None:
+        if self.clocks:
             return None
         return next((c for c in self.columns if not c.role and is_ramp(c.values)), None)
 
@@ -87,34 +95,77 @@ class FileTable:
         return sentence + (f" (no signals: {', '.join(self.unusable)})" if self.unusable else "")
 
     def rate_hz(self, columns: Sequence[Column] = ()) -> float:
-        """Return the rate that the given columns state, or a scalar, or the one the time column shows."""
-        rates = {c.rate_hz for c in columns} - {None}
-        if len(rates) > 1:
-            listing = ", ".join(f"{c.name} ({c.rate_hz:g} Hz)" for c in columns if c.rate_hz is not None)
+        """Return the rate that the given columns state, or scalars beside them, or the one their time columns show.
+
+        Raises:
+            InputError: none is stated, two of them differ by half a sample over the record, a clock is not even.
+        """
+        shown: dict[int, float] = {}  # by each clock: many columns go by one
+        rates = [self._rate_of(c, shown) for c in columns] or [self._rate_of(Column("", np.zeros(0)), shown)]
+        longest = max((c.values.size for c in columns), default=0)
+        if (max(rates) - min(rates)) * longest > JITTER * min(rates):
+            listing = ", ".join(f"{c.name} ({rate:g} Hz)" for c, rate in zip(columns, rates, strict=True))
             raise InputError(
                 f"read_record: channels of '{self.path}' differ in rate: {listing}; choose those of one rate."
             )
-        if rates and None not in {c.rate_hz for c in columns}:
-            return float(next(c.rate_hz for c in columns if c.rate_hz is not None))
-        for name in RATE_NAMES:
-            if name in self.scalars:
-                return self.scalars[name]
-        for name in STEP_NAMES:
-            if self.scalars.get(name):
-                return rate_of_step(self.scalars[name])
-        if self.time is None:
-            even = self.unnamed_clock
-            clock = "" if even is None else f", or name '{even.name}', which rises evenly, 'time' if it is the clock"
-            raise InputError(
-                f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=){clock}."
-            )
-        missing = np.flatnonzero(np.isnan(self.time.values))
+        return rates[0]
+
+    def start_s(self, column: Column) -> float:
+        """Return when a column's first sample was taken, on its own clock where its structure has one."""
+        clock = self._clock_of(column)
+        if column.start_s or column.rate_hz is not None or clock is None or not clock.values.size:
+            return column.start_s
+        return float(clock.values[0]) * TIME_UNITS_S.get(_unit_of(clock).lower(), 0.0)
+
+    def _rate_of(self, column: Column, shown: dict[int, float]) -> float:
+        """Return the rate of one column: its own, or what stands nearest to it in the file."""
+        if column.rate_hz is not None:
+            return float(column.rate_hz)
+        around = _around(column)
+        stated = next((rate for place in around if (rate := self._stated_at(place)) is not None), None)
+        if stated is not None:
+            return stated
+        clock = self._clock_of(column)
+        if clock is None:
+            elsewhere = {name.rpartition(".")[0]: None for name in self.scalars}
+            rates = {rate for place in elsewhere if (rate := self._stated_at(place)) is not None}
+            if len(rates) == 1:
+                return rates.pop()
+            if rates or len(self.clocks) > 1:
+                raise InputError(
+                    f"read_record: '{self.path}' states several sampling rates, none of them beside '{column.name}'; "
+                    f"give its own with --rate (rate_hz=)."
+                )
+            clock = next(iter(self.clocks.values()), None)
+        if clock is None:
+            raise self._no_rate()
+        if id(clock) not in shown:
+            shown[id(clock)] = self._shown_by(clock)
+        return shown[id(clock)]
+
+    def _stated_at(self, place: str) -> float | None:
+        """Return the rate that a scalar of one structure states."""
+        own = {name: self.scalars.get(f"{place}.{name}".lstrip(".")) for name in (*RATE_NAMES, *STEP_NAMES)}
+        rate = next((own[name] for name in RATE_NAMES if own[name] is not None), None)
+        step = next((step for name in STEP_NAMES if (step := own[name])), None)
+        return rate_of_step(step) if rate is None and step is not None else rate
+
+    def _clock_of(self, column: Column) -> Column | None:
+        return next((self.clocks[place] for place in _around(column) if place in self.clocks), None)
+
+    def _no_rate(self) -> InputError:
+        even = self.unnamed_clock
+        clock = "" if even is None else f", or name '{even.name}', which rises evenly, 'time' if it is the clock"
+        return InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=){clock}.")
+
+    def _shown_by(self, clock: Column) -> float:
+        missing = np.flatnonzero(np.isnan(clock.values))
         if missing.size:
             raise InputError(
                 f"read_record: the time column of '{self.path}' has {missing.size} NaN, the first at "
                 f"{self.place_of(int(missing[0]))}; fill them, or give --rate (rate_hz=)."
             )
-        return clock_hz(self.path, self.time)
+        return clock_hz(self.path, clock)
 
     def place_of(self, sample: int) -> str:
         """Return where a sample stands, for a message: its number, and its line in a file of text."""
@@ -138,7 +189,7 @@ class FileTable:
 
 def clock_hz(path: str, time: Column) -> float:
     """Return the rate of a column of time stamps, which may jitter by half a sample, or say where it is not even."""
-    unit = time.unit or time.name.partition("_")[2]
+    unit = _unit_of(time)
     if unit.lower() not in TIME_UNITS_S:
         raise InputError(f"read_record: '{path}' counts time in '{unit}', which is unknown; give --rate (rate_hz=).")
     t = time.values * TIME_UNITS_S[unit.lower()]
@@ -164,6 +215,17 @@ def clock_hz(path: str, time: Column) -> float:
             f"{1.0 / np.median(steps):g} Hz; resample it, or give --rate (rate_hz=) if the stamps are wrong."
         )
     return _roundest_clock(t, rate_hz)
+
+
+def _unit_of(time: Column) -> str:
+    """Return the unit that a column of time stamps counts in, as its header or its name says."""
+    return time.unit or time.name.rpartition(".")[2].partition("_")[2]
+
+
+def _around(column: Column) -> list[str]:
+    """Return the names of what a column stands in, from its own variable outwards to the file, which has none."""
+    fields = column.variable.split(".") if column.variable else []
+    return [".".join(fields[:k]) for k in range(len(fields), -1, -1)]
 
 
 def _roundest_clock(t: FloatArray, rate_hz: float) -> float:
@@ -226,7 +288,8 @@ def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequen
             unusable.append(f"{name} of shape {array.shape}")
             continue
         if array.size == 1 and f"{name}_names" not in (texts or {}):
-            scalars[_last(name)] = float(array.reshape(-1)[0])
+            structure, dot, _ = name.rpartition(".")
+            scalars[f"{structure}{dot}{_last(name)}"] = float(array.reshape(-1)[0])
             continue
         columns.extend(_split(name, np.atleast_2d(array.astype(np.float64)), texts or {}))
     return FileTable(path, tuple(columns), scalars, tuple(unusable))
