@@ -147,6 +147,42 @@ def test_blocks_of_a_recording_give_the_same_response(rng):
     assert isinstance(streamed, FrequencyResponse)
 
 
+@pytest.mark.parametrize("level", [0.0, 0.25, 0.1, 1e6 / 3, -1e-9 / 7])
+@pytest.mark.parametrize("detrend", ["constant", "linear", "none"])
+def test_an_input_that_stands_still_is_none_wherever_it_stands(rng, level, detrend):
+    u = rng.standard_normal((2, 4096))
+    y = np.array([[2.0, 1.0], [1.0, -1.0], [0.3, 1.0]]) @ u + 0.1 * rng.standard_normal((3, 4096))
+    still = Record([u[0], np.full(4096, level), u[1]], y, RATE)
+    bare = still.pick([0, 2])
+    for wanted, found in (
+        (coherence(bare, detrend=detrend), coherence(still, detrend=detrend)),
+        (frf(bare, detrend=detrend), frf(still, detrend=detrend)),
+        (frf(bare, detrend=detrend), frf(cross_spectra(still, detrend=detrend))),
+    ):
+        assert found.f_hz.tolist() == wanted.f_hz.tolist()
+        assert [c.name for c in found.actuators] == ["input 1", "input 3"]
+    assert frf(still, detrend=detrend).values == pytest.approx(frf(bare, detrend=detrend).values, rel=1e-12)
+
+
+def test_no_output_is_dead_for_its_unit_and_none_alive_by_rounding(rng):
+    u = rng.standard_normal((1, 4096))
+    found = frf(Record(u, np.vstack([1e6 * u, 1e-10 * u]), RATE)).values
+    assert np.allclose(found, [[[1e6]], [[1e-10]]], rtol=1e-9, atol=0.0)
+    jitter = 0.1 * (1.0 + np.finfo(float).eps * rng.integers(-1, 2, 4096))
+    for spectra in (Record(u, np.vstack([u, jitter]), RATE), cross_spectra(Record(u, np.vstack([u, jitter]), RATE))):
+        with pytest.raises(InputError, match="output 'output 2' never moves"):
+            frf(spectra)
+
+
+def test_a_channel_that_moves_between_blocks_only_has_moved():
+    rng = np.random.default_rng(0)
+    u, step = rng.standard_normal(4096), np.repeat([0.1, 0.3, 0.1, 0.2], 1024)
+    record = Record([u, step], [u + step], RATE)
+    blocks = cross_spectra((record.part(k, k + 1024) for k in range(0, 4096, 1024)), 512)
+    assert blocks.moves == cross_spectra(record, 512).moves == (True, True, True)
+    assert cross_spectra(record.part(0, 1024), 512).moves == (True, False, True)
+
+
 def bad_cases():
     rng = np.random.default_rng(0)
     u, y = rng.standard_normal((2, 2000)), rng.standard_normal((3, 2000))

@@ -69,7 +69,7 @@ def coherence(
         record if isinstance(record, CrossSpectra) else cross_spectra(record, segment_samples, overlap, window, detrend)
     )
     nu, ny = len(cross.actuators), len(cross.sensors)
-    moving = tuple(i for i, s in enumerate(cross.power[:nu]) if s.max() > 0)
+    moving = cross.moving(range(nu))
     group = Group(cross, moving)
     refuse_dead_outputs("coherence", [group])
     alive = alive_lines("coherence", cross, moving)

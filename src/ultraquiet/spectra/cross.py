@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frozen, same_rate, signal_array
 from ultraquiet._base.errors import InputError
@@ -13,6 +13,8 @@ from ultraquiet.values import Channel, Record
 
 # So many segments are transformed and multiplied at a time: enough for a matrix product, little to hold.
 BATCH = 32
+# A channel whose samples lie nearer to each other than this share of their size stands still: they differ by rounding.
+ROUNDING = 4 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +22,8 @@ class CrossSpectra:
     """One-sided cross spectral densities S_ab = E[A B*] of all channels, `(channel, channel, frequency)`.
 
     `inputs` of the channels come first; the rest are outputs. `averaging.averages` counts the segments of all
-    records together.
+    records together. `moves` says of each channel whether it moved in any of them; of spectra without a word of it
+    those channels did that have power.
     """
 
     values: ComplexArray
@@ -28,6 +31,12 @@ class CrossSpectra:
     actuators: tuple[Channel, ...]
     sensors: tuple[Channel, ...]
     hashes: tuple[str, ...] = ()
+    moves: tuple[bool, ...] = ()
+
+    def moving(self, rows: Iterable[int]) -> tuple[int, ...]:
+        """Return which of some channels moved and have power: what stands still may have some at 0 Hz alone."""
+        power = self.power.max(axis=1)
+        return tuple(i for i in rows if power[i] > 0 and (not self.moves or self.moves[i]))
 
     @property
     def f_hz(self) -> FloatArray:
@@ -62,6 +71,9 @@ class CrossSpectra:
             values=frozen((n * self.values + m * other.values) / (n + m)),
             averaging=replace(mine, averages=n + m),
             hashes=self.hashes + other.hashes,
+            moves=tuple(a or b for a, b in zip(self.moves, other.moves, strict=True))
+            if self.moves and other.moves
+            else (),
         )
 
 
@@ -105,14 +117,32 @@ def cross_spectra(
     if first is None:
         raise InputError("cross_spectra: it needs at least one block, got none.")
     plan = averaging("cross_spectra", samples, first.rate_hz, segment_samples, overlap, window, detrend)
-    total = Accumulator(plan)
+    total, span = Accumulator(plan), _span(first)
     total.add(np.concatenate([first.inputs, first.outputs]))
     for piece in pieces:
         same_rate("cross_spectra", "the first block", first.rate_hz, "another", piece.rate_hz)
         if (piece.actuators, piece.sensors) != (first.actuators, first.sensors):
             raise InputError("cross_spectra: all blocks must have the same channels.")
         total.add(np.concatenate([piece.inputs, piece.outputs]))
-    return CrossSpectra(total.mean(), total.plan, first.actuators, first.sensors, hashes)
+        span = np.minimum(span, _span(piece))
+    moves = tuple(bool(m) for m in _apart(-span[1], span[0]))
+    return CrossSpectra(total.mean(), total.plan, first.actuators, first.sensors, hashes, moves)
+
+
+def moving(signals: FloatArray) -> NDArray[np.bool_]:
+    """Return which channels `(channel, sample)` move: samples that differ by rounding alone stand still."""
+    return _apart(signals.max(axis=1), signals.min(axis=1))
+
+
+def _span(piece: Record) -> FloatArray:
+    """Return the least and the negative of the largest sample of each channel, `(2, channel)`."""
+    lowest = [side.min(axis=1) for side in (piece.inputs, piece.outputs)]
+    highest = [side.max(axis=1) for side in (piece.inputs, piece.outputs)]
+    return np.stack([np.concatenate(lowest), -np.concatenate(highest)])
+
+
+def _apart(high: FloatArray, low: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(high - low > ROUNDING * np.maximum(np.abs(high), np.abs(low)))
 
 
 class Accumulator:
@@ -170,7 +200,9 @@ class Accumulator:
 def _without_trend(segments: FloatArray, detrend: str) -> FloatArray:
     if detrend == "none":
         return segments
-    level = segments - segments.mean(axis=-1, keepdims=True)
+    # The mean of equal samples is rounded: what it leaves would count as a signal at every line.
+    still = np.ptp(segments, axis=-1, keepdims=True) == 0
+    level = np.where(still, 0.0, segments - segments.mean(axis=-1, keepdims=True))
     if detrend == "constant":
         return level
     t = np.arange(segments.shape[-1]) - (segments.shape[-1] - 1) / 2.0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.spectra.cross import CrossSpectra
+from ultraquiet.spectra.cross import CrossSpectra, moving
 from ultraquiet.spectra.estimators import Spectra
 from ultraquiet.values import Record
 
@@ -17,8 +17,6 @@ SILENT = 1e-12
 EXCITED = 1e-5
 # Normalised inputs whose smallest eigenvalue is below this say the same thing: the gains would lose nine of 16 digits.
 COLLINEAR = 1e-9
-# An output this far below the strongest holds rounding, no reading.
-DEAD = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +43,16 @@ def excited_lines(cross: CrossSpectra) -> NDArray[np.bool_]:
 def excited_together(records: Sequence[Record]) -> list[tuple[list[Record], tuple[int, ...]]]:
     """Return records in groups that share moving inputs, each with those inputs; an output at rest is refused."""
     for k, sensor in enumerate(records[0].sensors):
-        if all(np.ptp(r.outputs[k]) == 0 for r in records):
+        if not any(moving(r.outputs[k : k + 1])[0] for r in records):
             raise _dead("frf", sensor.name)
     groups: list[tuple[list[Record], set[int]]] = []
     for record in records:
-        moving = {i for i, u in enumerate(record.inputs) if np.ptp(u) > 0}
-        if not moving:
+        moved = {int(i) for i in np.flatnonzero(moving(record.inputs))}
+        if not moved:
             raise InputError("frf: each record must excite at least one input, got one in which none moves.")
-        touched = [g for g in groups if g[1] & moving]
+        touched = [g for g in groups if g[1] & moved]
         members = [r for g in touched for r in g[0]]
-        merged = set[int](moving).union(*(g[1] for g in touched))
+        merged = set[int](moved).union(*(g[1] for g in touched))
         if touched:
             groups[groups.index(touched[0])] = ([*members, record], merged)
             groups = [g for g in groups if g not in touched[1:]]
@@ -66,10 +64,11 @@ def excited_together(records: Sequence[Record]) -> list[tuple[list[Record], tupl
 def refuse_dead_outputs(who: str, groups: Sequence[Group]) -> None:
     """Name the output that never moves in any group."""
     nu = len(groups[0].cross.actuators)
-    power = np.max([g.cross.power[nu:].max(axis=1) for g in groups], axis=0)
-    dead = [c.name for c, p in zip(groups[0].cross.sensors, power, strict=True) if p <= DEAD * power.max()]
-    if dead:
-        raise _dead(who, dead[0])
+    sensors = groups[0].cross.sensors
+    heard = {i for g in groups for i in g.cross.moving(range(nu, nu + len(sensors)))}
+    for k, sensor in enumerate(sensors, nu):
+        if k not in heard:
+            raise _dead(who, sensor.name)
 
 
 def _dead(who: str, name: str) -> InputError:

@@ -76,8 +76,7 @@ def frf(
     choice = _Choice(estimator, None if noise is None else _noise(noise, nu, ny))
     if isinstance(many[0], CrossSpectra):
         cross = many[0]
-        moving = [i for i, s in enumerate(cross.power[:nu]) if s.max() > 0]
-        groups = [Group(cross, tuple(moving))]
+        groups = [Group(cross, cross.moving(range(nu)))]
     else:
         recorded = [r for r in many if isinstance(r, Record)]
         length = segments("frf", min(r.samples for r in recorded), segment_samples, overlap)[0]

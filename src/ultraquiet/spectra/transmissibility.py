@@ -120,11 +120,11 @@ def transmissibility(
     one_of(WHO, "estimator", estimator, ESTIMATORS)
     cross = _pooled(records, segment_samples, overlap, window, detrend)
     b, p = _rows(cross, "base", base), _rows(cross, "payload", payload)
-    for i in (*b, *p):
-        if not cross.power[i].max() > 0:
-            raise InputError(f"{WHO}: sensor '{cross.channels[i].name}' never moves; leave it out or mend its wire.")
+    still = sorted({*b, *p} - set(cross.moving((*b, *p))))
+    if still:
+        raise InputError(f"{WHO}: sensor '{cross.channels[still[0]].name}' never moves; leave it out or mend its wire.")
     alive = alive_lines(WHO, cross, b)
-    drives = tuple(i for i in range(len(cross.actuators)) if cross.power[i].max() > 0)
+    drives = cross.moving(range(len(cross.actuators)))
     group = Group(cross, tuple(b))
     if estimator == "reference":
         if len(drives) < len(b):
