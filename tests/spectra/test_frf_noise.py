@@ -183,6 +183,28 @@ def test_a_channel_that_moves_between_blocks_only_has_moved():
     assert cross_spectra(record.part(0, 1024), 512).moves == (True, False, True)
 
 
+@pytest.mark.parametrize("estimator", ["H1", "H2", "Hv"])
+def test_a_sensor_that_stands_still_in_one_record_has_a_gain_of_zero_there(rng, estimator):
+    w, z = rng.standard_normal(4096), np.zeros(4096)
+    found = frf([Record([w, z], [w, z], RATE), Record([z, w], [z, 1e-6 * w], RATE)], estimator=estimator)
+    assert np.allclose(found.values, np.array([[1.0, 0.0], [0.0, 1e-6]])[:, :, np.newaxis], rtol=1e-9, atol=1e-15)
+    assert found.variance is not None
+    assert (found.variance[[0, 1], [1, 0]] == 0.0).all()
+    assert np.isfinite(found.variance).all()
+
+
+def test_h2_of_several_inputs_needs_outputs_that_move_with_them(rng):
+    u = rng.standard_normal((2, 4096))
+    z = np.zeros(4096)
+    records = [Record([*u, z], [*(u + u[::-1] / 2), z], RATE), Record([z, z, u[0]], [z, z, u[0]], RATE)]
+    assert np.isfinite(frf(records, estimator="Hv").values).all()
+    with pytest.raises(InputError, match="H2 of 2 inputs needs 2 outputs, got 3"):
+        frf(records, estimator="H2")
+    square = [Record(r.inputs, r.outputs[[0, 2]], RATE) for r in records]
+    with pytest.raises(InputError, match="output 2 stands still where several inputs are excited together"):
+        frf(square, estimator="H2")
+
+
 def bad_cases():
     rng = np.random.default_rng(0)
     u, y = rng.standard_normal((2, 2000)), rng.standard_normal((3, 2000))

@@ -52,6 +52,12 @@ def h2(s: Spectra) -> tuple[ComplexArray, FloatArray]:
         return _h2_single(s)
     if nu != ny:
         raise InputError(f"frf: H2 of {nu} inputs needs {nu} outputs, got {ny}; take H1 or Hv, or pick outputs.")
+    silent = np.flatnonzero((s.output_power == 0).any(axis=0))
+    if silent.size:
+        raise InputError(
+            f"frf: H2 of {nu} inputs needs {nu} outputs that move, output {silent[0] + 1} stands still where several "
+            f"inputs are excited together; take H1 or Hv, or pick outputs."
+        )
     S_uy = np.conj(np.swapaxes(s.S_yu, 1, 2))
     G = right_divide(s.S_yy, S_uy)
     inner = np.linalg.inv(S_uy)
@@ -79,6 +85,7 @@ def hv(s: Spectra, noise: FloatArray | None = None) -> tuple[ComplexArray, Float
             size = np.sqrt(np.column_stack([power_u, s.output_power[:, i]]))
         else:
             size = np.broadcast_to(np.sqrt(np.append(noise[:nu], noise[nu + i])), (nf, nu + 1))
+        size = np.where(size > 0, size, 1.0)  # an output that stands still has a gain of zero whatever its size
         least = np.linalg.eigh(S / (size[:, :, np.newaxis] * size[:, np.newaxis]))[1][:, :, 0] / size
         G[:, i] = -(least[:, :nu] / least[:, nu:]).conj()
     explained = np.clip(multiple(s), np.finfo(float).tiny, 1.0)
@@ -136,11 +143,12 @@ def right_divide(B: NDArray[Any], A: NDArray[Any]) -> ComplexArray:
 def _h2_single(s: Spectra) -> tuple[ComplexArray, FloatArray]:
     power, cross = s.output_power, s.S_yu[:, :, 0].conj()
     G = np.divide(power, cross, out=np.zeros_like(cross), where=np.abs(cross) > 0)
-    # |H2|^2 (1 - gamma^2) / (gamma^2 K): the same relative error as H1 (Bendat and Piersol, table 9.6).
-    ratio = ordinary(s)[:, :, 0]
-    share = np.divide(1.0 - ratio, ratio, out=np.full_like(ratio, np.inf), where=ratio > 0)
-    degrees = s.degrees
-    variance = np.abs(G) ** 2 * share / degrees if degrees > 0 else np.full(G.shape, np.inf)
+    # |H2|^2 (1 - gamma^2) / (gamma^2 K): the same relative error as H1 (Bendat and Piersol, table 9.6). Of an output
+    # that stands still the gain is zero for sure; of one that has nothing of the input, H2 is anything.
+    ratio, degrees = ordinary(s)[:, :, 0], s.degrees
+    share = np.divide(1.0 - ratio, ratio, out=np.ones_like(ratio), where=ratio > 0)
+    told = ((ratio > 0) | (power == 0)) & (degrees > 0)
+    variance = np.where(told, np.abs(G) ** 2 * share / (degrees or 1.0), np.inf)
     return G[:, :, np.newaxis], variance[:, :, np.newaxis]
 
 
