@@ -212,3 +212,13 @@ def test_bad_input_is_a_sentence(case):
     with pytest.raises(InputError) as caught:
         call()
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("offset", [1.0, 1e3, -1e6])
+def test_an_offset_of_a_channel_is_no_vibration_of_any_band(rng, offset):
+    x = rng.standard_normal((3, 20000)) * [[1.0], [1e-3], [1e3]]
+    level = filtered_levels(x, rate_hz=1000.0, start_hz=4, stop_hz=80).rms
+    found = filtered_levels(x + offset * np.array([[1.0], [1e-3], [1e3]]), rate_hz=1000.0, start_hz=4, stop_hz=80).rms
+    assert np.allclose(found, level, rtol=1e-6, atol=0.0)
+    still = filtered_levels(np.full(20000, offset / 3), rate_hz=1000.0, start_hz=4, stop_hz=80).rms
+    assert still.max() < 1e-12 * abs(offset)

@@ -152,7 +152,8 @@ def filtered_levels(
     """Return the levels of fractional octaves by band filters in time, as a sound level meter does it.
 
     Butterworth band passes of sixth order about the exact centres, as wide for noise as the band is (and 5 % narrower
-    at half power); the settling of each filter is left out.
+    at half power); the settling of each filter is left out, and the mean of each channel, which no band holds but each
+    filter would have to settle from.
 
     Args:
         signals: a record, whose outputs are taken, or an array together with `rate_hz`.
@@ -191,6 +192,7 @@ def filtered_levels(
             f"filtered_levels: {x.shape[1]} samples are too few for the band at {bands.nominal_hz[0]:g} Hz, "
             f"which needs {2 * settling[0]}."
         )
+    x = x - x.mean(axis=1, keepdims=True)
     rms = np.empty((len(x), len(bands.centre_hz)))
     half = (bands.high_hz - bands.low_hz) / NOISE_WIDTH / 2.0
     middle = np.sqrt(bands.centre_hz**2 + half**2)
