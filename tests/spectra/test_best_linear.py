@@ -143,3 +143,24 @@ def test_few_realisations_are_said_to_be_few(seed):
     found = uq.spectra.best_linear([uq.Record(x, x, RATE_HZ) for x in u], 700)
     assert found.status.word == "few data"
     assert "take 6" in found.status.sentence
+
+
+@pytest.mark.parametrize("channels", [(2, 2), (4, 3), (3, 5)])
+@pytest.mark.parametrize("together", [False, True])
+def test_inputs_are_told_apart_in_whatever_units(rng, channels, together):
+    ny, nu = channels
+    gains = rng.standard_normal((ny, nu))
+    signal = uq.signals.Multisine(start_hz=5, stop_hz=40, period_samples=100, peak=1)
+    v = np.array([signal.generate(500, 100.0, seed=k) for k in range(1, nu + 1)])
+    driven = [np.eye(nu)[k][:, None] * v if not together else np.roll(v, k, axis=0) for k in range(nu)]
+    noise = [1e-3 * rng.standard_normal((ny, 500)) for _ in range(nu)]
+    units = 10.0 ** np.linspace(-8, 8, nu)[:, None]
+    one, other = (
+        uq.spectra.best_linear(
+            [uq.Record(s * u, gains @ u + e, 100.0) for u, e in zip(driven, noise, strict=True)], 100
+        )
+        for s in (1.0, units)
+    )
+    assert np.allclose(other.response.values * units, one.response.values, rtol=1e-9, atol=0.0)
+    assert np.allclose(other.noise * units**2, one.noise, rtol=1e-6, atol=0.0)
+    assert np.allclose(other.response.values * units, gains[:, :, None], atol=0.1)

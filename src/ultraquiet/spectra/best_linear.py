@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.spectra.detection import Detection, detection
 from ultraquiet.spectra.local_polynomial import scatter_about_smooth
-from ultraquiet.spectra.periodic import excited_lines, steady_periods
+from ultraquiet.spectra.periodic import evened_inputs, excited_lines, inverse_of_inputs, steady_periods
 from ultraquiet.values import FrequencyResponse, Record, Status, StatusWord
 from ultraquiet.values.handed_over.kinds import takes_values
 
@@ -193,14 +193,14 @@ def _realisation(
     U = np.stack([U.mean(axis=1)[:, lines] for U, _ in experiments], axis=1)  # (nu, experiments, nf)
     Y = np.stack([Y.mean(axis=1)[:, lines] for _, Y in experiments], axis=1)
     u, y = np.moveaxis(U, 2, 0), np.moveaxis(Y, 2, 0)
-    size = np.abs(u).max(axis=(1, 2), keepdims=True)
-    if np.linalg.cond(u / size).max() > APART:
-        worst = int(np.linalg.cond(u / size).argmax())
+    even, _ = evened_inputs(u)
+    condition = np.linalg.cond(even)
+    if condition.max() > APART:
         raise InputError(
-            f"{WHO}: the inputs cannot be told apart at line {lines[worst]}; excite them one after another or by "
-            f"orthogonal_multisines."
+            f"{WHO}: the inputs cannot be told apart at line {lines[int(condition.argmax())]}; excite them one after "
+            f"another or by orthogonal_multisines."
         )
-    inverse = np.linalg.pinv(u)  # (nf, experiments, nu)
+    inverse = inverse_of_inputs(u)  # (nf, experiments, nu)
     G = y @ inverse
     variance = np.zeros(G.shape, dtype=np.float64)
     for e, (own, out) in enumerate(experiments):
@@ -225,7 +225,7 @@ def _of_one(
     """
     if unexcited is not None and unexcited.odd_hz.size:
         u = np.moveaxis(np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group], axis=1), 2, 0)
-        share = np.sum(np.abs(np.linalg.pinv(u)) ** 2, axis=1).T  # (nu, nf)
+        share = np.sum(np.abs(inverse_of_inputs(u)) ** 2, axis=1).T  # (nu, nf)
         return unexcited.carried_to(lines)[:, np.newaxis] * share[np.newaxis]
     U = np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group])
     Y = np.stack([Y.mean(axis=1)[:, lines] for _, Y in group])

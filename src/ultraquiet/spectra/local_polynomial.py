@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, frozen, same_
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.spectra.periodic import inverse_of_inputs
 from ultraquiet.values import FrequencyResponse, Record
 from ultraquiet.values.handed_over.kinds import takes_values
 
@@ -184,7 +185,7 @@ def scatter_about_smooth(U: ComplexArray, Y: ComplexArray, order: int = 2, dof: 
     outputs = np.moveaxis(Y[:, :, at], (2, 0), (0, 1)).swapaxes(2, 3).reshape(nf, M * width, -1)
     _, _, residual = _solved(K, outputs)
     power = np.sum(np.abs(residual) ** 2, axis=1) / (M * width - unknowns)  # (nf, ny)
-    share = np.sum(np.abs(np.linalg.pinv(np.moveaxis(U, 2, 0).swapaxes(1, 2))) ** 2, axis=1)  # (nf, nu)
+    share = np.sum(np.abs(inverse_of_inputs(np.moveaxis(U, 2, 0).swapaxes(1, 2))) ** 2, axis=1)  # (nf, nu)
     return np.moveaxis(power[:, :, None] * share[:, None, :], 0, 2)
 
 
@@ -247,7 +248,7 @@ def _periodic(
     T = x[:, 0].reshape(lines.size, M, ny)
     residual = residual.reshape(lines.size, count, M, ny)
     noise = np.einsum("frmi,frmj->fij", residual, residual.conj()) / (dof * M)
-    inverse = np.linalg.pinv(np.moveaxis(U[:, :, lines], 2, 0).swapaxes(1, 2))  # (nf, records, nu)
+    inverse = inverse_of_inputs(np.moveaxis(U[:, :, lines], 2, 0).swapaxes(1, 2))  # (nf, records, nu)
     clean = np.moveaxis(Y[:, :, lines], 2, 0) - T
     G = np.swapaxes(clean, 1, 2) @ inverse
     own = np.einsum("fii->fi", noise).real * (1.0 + spread[:, :1])

@@ -108,3 +108,19 @@ def excited_lines(levels: FloatArray) -> np.ndarray:
     alive = np.any(levels > EXCITED_SHARE * levels[:, 1:].max(axis=1, keepdims=True), axis=0)
     alive[0] = False
     return alive
+
+
+def evened_inputs(u: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    """Return inputs `(nf, nu, experiments)` each over its largest size at a line, and these sizes `(nf, nu, 1)`.
+
+    Whether inputs can be told apart says nothing of the units they are in.
+    """
+    size = np.abs(u).max(axis=2, keepdims=True)
+    size = np.where(size > 0, size, 1.0)
+    return u / size, size
+
+
+def inverse_of_inputs(u: ComplexArray) -> ComplexArray:
+    """Return the pseudoinverse `(nf, experiments, nu)` of inputs `(nf, nu, experiments)` in whatever units."""
+    even, size = evened_inputs(u)
+    return np.asarray(np.linalg.pinv(even) / np.swapaxes(size, 1, 2), dtype=np.complex128)
