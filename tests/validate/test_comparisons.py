@@ -93,6 +93,24 @@ def test_bode_agreement():
         uq.validate.bode_agreement(measured, louder, f_hz=[7.0])
 
 
+def test_a_line_is_found_whichever_way_its_frequency_was_rounded(rng):
+    lines, mixed = np.arange(1, 301), rng.permutation(300)
+    G = rng.standard_normal((3, 5, 300)) + 1j * rng.standard_normal((3, 5, 300))
+    one = uq.FrequencyResponse(lines * (3500.0 / 600), G)
+    other = uq.FrequencyResponse(lines * 3500.0 / 600, 2.0 * G)
+    shuffled = uq.FrequencyResponse(other.f_hz[mixed], 2.0 * G[:, :, mixed])
+    assert (one.f_hz < other.f_hz).any()
+    for first, second in ((one, other), (other, one), (one, shuffled)):
+        found = uq.validate.bode_agreement(first, second)
+        assert np.allclose(np.abs(found.gain_db), 20.0 * np.log10(2.0))
+        assert np.abs(found.phase_deg).max() < 1e-6
+    for nominal, seen, radius in ((one, other, 1.0), (other, one, 0.5)):
+        assert np.allclose(uq.validate.from_spread(nominal, [seen], kind="entry").radius, radius)
+    apart = uq.FrequencyResponse(one.f_hz * (1.0 + 1e-6), G)
+    with pytest.raises(InputError, match="no line at some of the 300 frequencies"):
+        uq.validate.bode_agreement(one, apart)
+
+
 def test_an_unstable_model_fits_nothing(record):
     wild = uq.PolynomialModel(MODEL.b, [[1.0, -1.1]], 100.0)
     assert uq.validate.compare(wild, record).fit_percent[0] == -np.inf

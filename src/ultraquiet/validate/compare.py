@@ -113,6 +113,7 @@ class BodeAgreement:
 
 
 POINTS_PER_BAND = 200
+SAME_LINE = 1e-9  # two frequencies nearer to each other than this share are one line
 
 
 def bode_agreement(
@@ -172,8 +173,22 @@ def _lines(who: str, compared: tuple[Any, Any], band_hz: Sequence[float] | None)
 def _response(who: str, system: Any, f: FloatArray) -> Any:
     if not isinstance(system, FrequencyResponse):
         return system.frequency_response(f)
-    at = np.searchsorted(system.f_hz, f)
-    at = np.minimum(at, system.f_hz.size - 1)
-    if f.size == 0 or not np.allclose(system.f_hz[at], f, rtol=1e-9, atol=0.0):
+    at = nearest_lines(system.f_hz, f)
+    if f.size == 0 or at is None:
         raise InputError(f"{who}: a measured response has no line at some of the {f.size} frequencies compared.")
     return system.values[:, :, at]
+
+
+def nearest_lines(lines_hz: FloatArray, f_hz: FloatArray) -> np.ndarray | None:
+    """Return where the lines of a measured response, in any order, hold frequencies; None where one is missing.
+
+    Two quotients of one frequency differ by rounding, upwards or downwards.
+    """
+    if not lines_hz.size:
+        return None
+    order = np.argsort(lines_hz, kind="stable")
+    rising = lines_hz[order]
+    above = np.minimum(np.searchsorted(rising, f_hz), rising.size - 1)
+    below = np.maximum(above - 1, 0)
+    at = order[np.where(f_hz - rising[below] < rising[above] - f_hz, below, above)]
+    return at if np.allclose(lines_hz[at], f_hz, rtol=SAME_LINE, atol=0.0) else None

@@ -16,6 +16,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
 from ultraquiet.validate.bands import Identified, channels, moved_by, root, spread_of
 from ultraquiet.validate.beyond import held, told
+from ultraquiet.validate.compare import nearest_lines
 from ultraquiet.validate.gradient import noise_gradient, response_gradient
 from ultraquiet.validate.weight_fit import HIGHEST_ORDER, fitted_weight
 from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
@@ -267,8 +268,8 @@ def combined(parts: Sequence[Uncertainty]) -> Uncertainty:
 def _at(who: str, system: Any, f: FloatArray) -> ComplexArray:
     if not isinstance(system, FrequencyResponse):
         return system.frequency_response(f)
-    place = np.minimum(np.searchsorted(system.f_hz, f), system.f_hz.size - 1)
-    if not np.allclose(system.f_hz[place], f, rtol=1e-9, atol=0.0):
+    place = nearest_lines(system.f_hz, f)
+    if place is None:
         raise InputError(f"{who}: a measured response has no line at some of the {f.size} frequencies.")
     return system.values[:, :, place]
 
