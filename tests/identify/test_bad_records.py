@@ -34,6 +34,53 @@ def test_a_steady_tone_is_refused(rng):
             uq.identify.BoxJenkins(order=order).identify(uq.Record(tone, rng.standard_normal(4096), 3500.0))
 
 
+def struck(samples, rate_hz, blows, rng):
+    """A lightly damped plant of one mode struck at each input once, `blows` samples after the start."""
+    p = 0.98 * np.exp(0.3j)
+    plant = uq.StateSpace(
+        [[p.real, p.imag], [-p.imag, p.real]],
+        np.vstack([np.ones(len(blows)), 0.3 * np.arange(len(blows))]),
+        [[1.0, 0.0], [0.5, 1.0]],
+        np.zeros((2, len(blows))),
+        rate_hz,
+    )
+    u = np.zeros((len(blows), samples))
+    u[np.arange(len(blows)), blows] = 1.0
+    y = plant.simulate(u)
+    return plant, uq.Record(u, y + 1e-3 * rng.standard_normal(y.shape), rate_hz)
+
+
+@pytest.mark.parametrize("at", [3, 20, 512, 900])
+@pytest.mark.parametrize("samples", [1000, 1024])
+def test_a_blow_excites_as_much_at_the_beginning_as_in_the_middle(rng, at, samples):
+    plant, record = struck(samples, 100.0, [at], rng)
+    lines = np.geomspace(1.0, 45.0, 30)
+    G = plant.frequency_response(lines)
+    for method in (uq.identify.OutputError(order=2), uq.identify.Subspace()):
+        found = method.identify(record)
+        print(method.name, found.status, found.fit_percent)
+        assert found.fit_percent.min() > 90.0
+        assert np.abs(found.model.frequency_response(lines) - G).max() < 0.05 * np.abs(G).max()
+
+
+def test_several_inputs_may_be_struck_at_the_beginning(rng):
+    plant, record = struck(1000, 3500.0, [3, 330, 660], rng)
+    found = uq.identify.Subspace().identify(record).model
+    lines = np.geomspace(20.0, 1500.0, 30)
+    G = plant.frequency_response(lines)
+    assert np.abs(found.frequency_response(lines) - G).max() < 0.05 * np.abs(G).max()
+
+
+@pytest.mark.parametrize("grown", [0.0, -0.01, 0.01])
+@pytest.mark.parametrize("phase", [0.0, 1.0])
+def test_a_tone_that_dies_or_grows_is_no_blow(rng, grown, phase):
+    t = np.arange(1000)
+    tone = np.exp(grown * t) * np.sin(0.6 * t + phase)
+    record = uq.Record(tone / np.abs(tone).max(), rng.standard_normal((3, 1000)), 100.0)
+    with pytest.raises(InputError, match=r"input 'input 1' holds spectral lines for about \d+ parameters"):
+        uq.identify.OutputError(order=8).identify(record)
+
+
 def test_a_dead_sensor_is_refused(method, rng):
     record = uq.Record(rng.standard_normal(2000), np.zeros(2000), 100.0, sensors=["geophone 2"])
     with pytest.raises(InputError, match=r"output 'geophone 2' is constant at 0"):

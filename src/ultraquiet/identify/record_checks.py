@@ -24,6 +24,9 @@ RUNAWAY, NO_LOUDER = 0.9, 0.5
 # stands above the window's own side lobes.
 BINS_PER_PARAMETER = 3
 LINE_SHARE = 1e-5
+# A window that hears less than this share of an input's energy, beside what it would of a steady one, misses the input.
+MISSED = 0.1
+AT_REST, REST_SAMPLES = 1e-2, 3  # of its largest sample: an input as near to its level so long, first and last, rests
 
 
 def in_and_out(record: Record) -> list[str]:
@@ -133,10 +136,26 @@ def _share_of_last_tenth(x: FloatArray) -> float:
 def exciting(who: str, record: Record, parameters: int) -> None:
     """Refuse an input of so few spectral lines that other models fit it as well: a steady tone fixes two parameters."""
     for u, wire in zip(record.inputs, record.actuators, strict=True):
-        power = np.abs(np.fft.rfft((u - u.mean()) * np.blackman(u.size))) ** 2
+        window = np.blackman(u.size)
+        power = np.abs(np.fft.rfft(heard_by(window, u - u.mean()) * window)) ** 2
         carried = int(np.count_nonzero(power > LINE_SHARE * power.max())) // BINS_PER_PARAMETER
         if carried < parameters:
             raise InputError(
                 f"{who}: input '{wire.name}' holds spectral lines for about {carried} parameters, the path from it has "
                 f"{parameters}; excite a band (noise, chirp, many tones) or lower the order."
             )
+
+
+def heard_by(window: FloatArray, u: FloatArray) -> FloatArray:
+    """Return an input about zero `(n,)`, turned round until its energy lies in the middle where a window would miss it.
+
+    A blow at the beginning of a record excites as much as one in the middle. Only an input at rest at both ends is
+    turned: of one that goes on there, a steady tone, the seam would be a blow of its own.
+    """
+    energy = u**2
+    share = float(window**2 @ energy) / max(float(np.mean(window**2) * energy.sum()), np.finfo(float).tiny)
+    level, ends = np.median(u), np.concatenate([u[:REST_SAMPLES], u[-REST_SAMPLES:]])
+    if share >= MISSED or np.abs(ends - level).max() > AT_REST * np.abs(u - level).max():
+        return u
+    middle = np.angle(energy @ np.exp(2j * np.pi * np.arange(u.size) / u.size)) / (2 * np.pi) * u.size
+    return np.roll(u, u.size // 2 - round(float(middle)))
