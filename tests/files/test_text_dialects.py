@@ -153,3 +153,40 @@ def test_a_remark_behind_numbers_is_none_of_them(tmp_path, table):
     lines.insert(9, "# the bench was touched")
     (tmp_path / "run.csv").write_text("\n".join(lines))
     assert read_record(tmp_path / "run.csv", **WIRES).samples == N
+
+
+@pytest.mark.parametrize("mark", [",", "\t", ";"])
+@pytest.mark.parametrize("end", ["", "\t"])
+def test_a_column_with_gaps_hides_no_other(tmp_path, table, mark, end):
+    """An empty cell is none whatever parts the cells, in the first line of numbers as well."""
+    for first in (0, 1):
+        rows = [
+            f"{mark.join(f'{v:.6g}' for v in row)}{mark}{k if k % 3 == first else ''}" for k, row in enumerate(table)
+        ]
+        spare = end if mark == "\t" else ""
+        (tmp_path / "run.tsv").write_text("\n".join(row + spare for row in (mark.join([*NAMES, "aux"]), *rows)))
+        record = read_record(tmp_path / "run.tsv", **WIRES)
+        assert record.rate_hz == 500.0
+        assert np.array_equal(record.outputs[0], table[:, 3])
+        with pytest.raises(InputError, match=r"'aux' of .* has 26 NaN" if first == 0 else r"'aux' of .* has 27 NaN"):
+            read_record(tmp_path / "run.tsv", inputs="left coil", outputs="aux")
+
+
+@pytest.mark.parametrize("mark", [",", "\t", ";"])
+def test_a_column_without_a_name_takes_none_from_the_others(tmp_path, table, mark):
+    """A data frame is written so: the count of its rows stands first, without a name."""
+    rows = [[str(k), *(f"{v:.6g}" for v in row)] for k, row in enumerate(table)]
+    (tmp_path / "run.csv").write_text("\n".join(mark.join(row) for row in (["", *NAMES], *rows)))
+    record = read_record(tmp_path / "run.csv", **WIRES)
+    assert record.rate_hz == 500.0
+    assert np.array_equal(record.outputs[0], table[:, 3])
+    assert [c.name for c in survey(tmp_path / "run.csv").channels][:2] == ["column 1", "left coil"]
+    titled = [["Bench 3", "", "", "", ""], *rows]
+    (tmp_path / "run.csv").write_text("\n".join(mark.join(row) for row in titled))
+    assert [c.name for c in survey(tmp_path / "run.csv", 1.0).channels] == [f"column {k}" for k in range(1, 6)]
+
+
+def test_tabs_that_end_padded_numbers_part_nothing(tmp_path, table):
+    (tmp_path / "run.dat").write_text("\n".join("".join(f" {v: .4f} \t" for v in row) for row in table))
+    record = read_record(tmp_path / "run.dat", 500.0, "2-3", "4")
+    assert np.allclose(record.outputs[0], table[:, 3], atol=1e-4)

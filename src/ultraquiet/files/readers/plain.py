@@ -35,9 +35,10 @@ def read_text(name: str, data: bytes) -> FileTable:
     """Return the columns of a text file; the line before the numbers names them, with units in brackets.
 
     Cells are parted by semicolons, tabs, commas or blanks; with semicolons or tabs a comma is a decimal comma. Units
-    may stand in a line of their own below the names. An empty cell counts as NaN, and delimiters at the ends of lines
-    make no column. Lines that begin with `#` are remarks, and the last of them before the numbers may be the header.
-    A cell that is no number (`NA`, `#DIV/0!`, a word) is refused with its line and column.
+    may stand in a line of their own below the names. An empty cell counts as NaN, a column may be without a name, and
+    delimiters at the ends of lines make no column. Lines that begin with `#` are remarks, and the last of them before
+    the numbers may be the header. A cell that is no number (`NA`, `#DIV/0!`, a word) is refused with its line and
+    column.
     """
     try:
         data = data.decode("utf-16").encode() if data[:2] in UTF16 else data
@@ -47,7 +48,7 @@ def read_text(name: str, data: bytes) -> FileTable:
     if before is None:
         raise InputError(f"read_record: '{name}' {NO_NUMBERS}.")
     *before, first = before
-    start, delimiter = len(before), _delimiter(first)
+    start, delimiter = len(before), _parted_by(before, first)
     if len(_cells(first, delimiter)) > MOST_COLUMNS:
         raise InputError(f"read_record: line {start + 1} of '{name}' has more than {MOST_COLUMNS} columns.")
     _no_row_among_names(name, before, delimiter, len(_cells(first, delimiter)))
@@ -69,7 +70,7 @@ def read_text(name: str, data: bytes) -> FileTable:
 
 def _refusal(data: bytes, before: Sequence[str], first: str, said: str) -> str:
     """Return what is wrong with a table: its first line that is no row of it, or what NumPy says, less its advice."""
-    start, delimiter = len(before), _delimiter(first)
+    start, delimiter = len(before), _parted_by(before, first)
     said = f"after line {start}: {said.partition('; use `usecols`')[0]}"
     if _commas_are_decimal(before, first):
         return f"{said}; {DECIMAL_COMMAS}"
@@ -103,7 +104,7 @@ def _commas_are_decimal(before: Sequence[str], first: str) -> bool:
 def _named_columns(before: Sequence[str], delimiter: str | None, rows: FloatArray) -> int:
     """Return how many columns there are without one at the end that has neither a name nor a number."""
     last = next((line for line in reversed(before) if line.strip()), "")
-    names, count = _cells(last.lstrip("# \t"), delimiter), rows.shape[1]
+    names, count = _cells(_bare(last, delimiter), delimiter), rows.shape[1]
     nameless = len(names) < count or not names[count - 1]
     return count - 1 if count > 1 and nameless and np.isnan(rows[:, -1]).all() else count
 
@@ -200,6 +201,18 @@ def _delimiter(line: str) -> str | None:
     return next((mark for mark in marks if mark in line.strip()), None)
 
 
+def _parted_by(before: Sequence[str], first: str) -> str | None:
+    """Return what parts the cells of the first line of numbers: tabs also where the names above it are parted so.
+
+    Of numbers alone, tabs may be the ends of padded columns as well, which part nothing by themselves.
+    """
+    delimiter, cells = _delimiter(first), first.split("\t")
+    if delimiter is not None or len(cells) < 2 or any(len(cell.split()) > 1 for cell in cells):
+        return delimiter
+    names = _bare(next((line for line in reversed(before) if line.strip()), ""), "\t")
+    return "\t" if len(names.split("\t")) == len(cells) else None
+
+
 def _cells(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
@@ -209,13 +222,19 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[tuple[str, str]]:
     """Return name and unit of each column, from the one or two lines above the numbers."""
-    rows = [_named(line.lstrip("# \t"), delimiter, count) for line in before if line.strip()][-2:]
+    rows = [_named(_bare(line, delimiter), delimiter, count) for line in before if line.strip()][-2:]
     names = rows[-1] if rows else []
     if len(rows) == 2 and len(rows[0]) == len(rows[1]) == count and all(rows[0]) and _are_units(rows):
         return [(name, unit.strip("[]()")) for name, unit in zip(*rows, strict=True)]
-    if len(names) != count or not all(names):
-        return [(f"column {k + 1}", "") for k in range(count)]
-    return [split_unit(name) for name in names]
+    # One or two columns may go without a name; a line of few cells is a title.
+    if len(names) != count or 2 * sum(map(bool, names)) < count:
+        names = [""] * count
+    return [split_unit(name) if name else (f"column {k}", "") for k, name in enumerate(names, 1)]
+
+
+def _bare(line: str, delimiter: str | None) -> str:
+    """Return a line of names without the mark of a remark; between tabs the first may be missing."""
+    return line.lstrip("# " if delimiter == "\t" else "# \t")
 
 
 def _named(line: str, delimiter: str | None, count: int) -> list[str]:
