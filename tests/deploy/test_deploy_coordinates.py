@@ -14,6 +14,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.cli.exits.codes import ExitCode, exit_code
 from ultraquiet.deploy import generate, generate_fixed, word_lengths
 from ultraquiet.deploy.law.coordinates import balanced
+from ultraquiet.deploy.law.kind import require_law
 from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.values import Channel, StateSpace
 
@@ -152,6 +153,45 @@ def test_a_plant_is_refused_in_place_of_a_law(tmp_path, how, monkeypatch, capsys
     print(err)
     assert (code, "a plant" in err) == (2, True)
     assert os.listdir(tmp_path) == ["plant.h5"]
+
+
+def of_active_struts(ny, nu, **settings):
+    """A diagonal law that measures forces and commands motions, and a plant whose channels it mirrors."""
+    forces = [Channel(f"force {k}", "N", -10, 10) for k in range(ny)]
+    motions = [Channel(f"piezo {k}", "µm", -10, 10) for k in range(nu)]
+    D = -0.1 * np.eye(nu, ny)
+    law = StateSpace(0.5 * np.eye(nu), 0.1 * np.eye(nu, ny), np.eye(nu), D, RATE_HZ, forces, motions, **settings)
+    plant = StateSpace(0.9 * np.eye(ny), 0.1 * D.T, np.eye(ny), np.zeros((ny, nu)), RATE_HZ, motions, forces)
+    return law, plant
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+def test_forces_that_command_motions_are_a_law_beside_its_plant_and_from_a_design(tmp_path, ny, nu):
+    law, plant = of_active_struts(ny, nu)
+    designed, _ = of_active_struts(ny, nu, provenance=Provenance("Lqg"))
+    synthesised, _ = of_active_struts(ny, nu, provenance=Provenance("synthesize_hinf"))
+    assert generate(law, tmp_path / "code", plant=plant).status.ok
+    for given in (designed, synthesised):
+        require_law(given)
+    with pytest.raises(InputError, match="told from a plant by that of its loop: give `plant`"):
+        require_law(law)
+
+
+def test_a_law_of_forces_to_a_velocity_command_is_told_by_the_names_of_its_plant():
+    into, out = [Channel("force 1", "V")], [Channel("velocity command", "V")]
+    law = StateSpace([[0.5]], [[0.1]], [[1.0]], [[0.0]], RATE_HZ, into, out)
+    require_law(law, StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], RATE_HZ, out, into))
+    with pytest.raises(InputError, match="'force 1' goes in and 'velocity command' comes out"):
+        require_law(law)
+
+
+def test_a_plant_and_its_law_in_each_others_place_are_told_by_who_made_the_law():
+    coils, geophones = [Channel("coil 1", "V")], [Channel("geophone 1", "m/s")]
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], RATE_HZ, coils, geophones)
+    law = StateSpace([[0.5]], [[0.1]], [[1.0]], [[0.0]], RATE_HZ, geophones, coils, provenance=Provenance("lqg"))
+    require_law(law, plant)
+    with pytest.raises(InputError, match="'coil 1' in V goes in and 'geophone 1' in m/s comes out"):
+        require_law(plant, law)
 
 
 @pytest.mark.slow

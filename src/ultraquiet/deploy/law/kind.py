@@ -9,6 +9,7 @@ from ultraquiet.values import Channel, StateSpace
 
 # Who makes models of plants: the methods of identification, by their registered names, and benches.
 MODELS_OF_PLANTS = ("identify.", "bench.")
+SYNTHESES = "synthesize_"  # functions that make laws begin so
 MOTION = {unit for ladder in LADDERS for unit in ladder} | {"g", "rad", "rad/s", "rad/s²", "rad/s^2", "Pa"}
 ACTUATING = re.compile(r"actuator|shaker|exciter|stack|piezo|coil|motor|thruster|force|torque|drive|current", re.I)
 SENSING = re.compile(
@@ -21,7 +22,9 @@ def require_law(controller: StateSpace, plant: StateSpace | None = None) -> None
     """Refuse a system that is a plant: made by identification or a bench, or driven by actuators and read by sensors.
 
     A law made by a design names the sensors as what goes in and the actuators as what comes out. Systems without a
-    history and without names that tell are taken for what they are called.
+    history and without names that tell are taken for what they are called. Names and units alone give nothing away
+    where more is known: forces may be measured and motions commanded, so that what a design made is a law, and so is
+    what mirrors the channels of its plant.
 
     Args:
         controller: what is to become code.
@@ -30,11 +33,16 @@ def require_law(controller: StateSpace, plant: StateSpace | None = None) -> None
     Raises:
         InputError: with what gave it away.
     """
-    reason = _history(controller) or _channels(controller) or _same(controller, plant)
+    reason, unless = _history(controller) or _same(controller, plant), ""
+    if reason is None and not _mirrors(controller, plant):
+        reason = _channels(controller)
+        if reason is None or _designed(controller):
+            return
+        unless = " A law whose channels are such is told from a plant by that of its loop: give `plant`."
     if reason is not None:
         raise InputError(
             f"deploy: this is a plant, not a law: {reason}; give what `design` made of it (u = K y: sensors go in,"
-            " commands come out)."
+            f" commands come out).{unless}"
         )
 
 
@@ -42,6 +50,22 @@ def _history(system: StateSpace) -> str | None:
     maker = system.provenance.made_by
     made = maker in methods("identify") or maker.startswith(MODELS_OF_PLANTS)
     return f"it was made by '{maker}'" if made else None
+
+
+def _designed(system: StateSpace) -> bool:
+    maker, kinds = system.provenance.made_by, methods("design")
+    return maker in {*kinds, *(kind.__name__ for kind in kinds.values())} or maker.startswith(SYNTHESES)
+
+
+def _mirrors(controller: StateSpace, plant: StateSpace | None) -> bool:
+    """Return whether the plant's sensors go in and its actuators come out, by name and unit.
+
+    A plant mirrors its law as well: what a design made is not the plant.
+    """
+    if plant is None or _designed(plant):
+        return False
+    pairs = ((controller.actuators, plant.sensors), (controller.sensors, plant.actuators))
+    return all([(c.name, c.unit) for c in a] == [(c.name, c.unit) for c in b] for a, b in pairs)
 
 
 def _channels(system: StateSpace) -> str | None:
