@@ -133,6 +133,23 @@ def test_loops_without_states_or_law():
     assert none.alpha == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+def test_margins_of_both_sides_depend_on_no_units(rng, ny, nu):
+    """Units decades apart, even those in which G is a millionth of K: factors are ratios."""
+    G = StateSpace(0.9 * np.eye(ny), 0.1 * rng.standard_normal((ny, nu)), np.eye(ny), np.zeros((ny, nu)), 1000.0)
+    K = gain(-0.3 * rng.standard_normal((nu, ny)) / np.sqrt(nu * ny), 1000.0)
+    plain = disk_margins(G, K, "both")
+    assert plain.alpha > 0
+    inputs, outputs = 10.0 ** rng.uniform(-4, 4, nu), 1e-6 * 10.0 ** rng.uniform(-4, 4, ny)
+    scaled = StateSpace(G.A, G.B * inputs, outputs[:, None] * G.C, G.D, 1000.0)
+    law = gain(K.D / inputs[:, None] / outputs, 1000.0)
+    for found in (disk_margins(scaled, law, "both"), disk_margins(law, scaled, "both")):
+        assert found.alpha == pytest.approx(plain.alpha, rel=1e-6)
+        assert found.f_hz == pytest.approx(plain.f_hz, rel=1e-3)
+    assert disk_margins(scaled, law, "both").loop_alpha == pytest.approx(plain.loop_alpha, rel=1e-6)
+    assert disk_margin(scaled, law, "both") == pytest.approx(plain.alpha, rel=1e-6)
+
+
 def test_what_does_not_fit_is_refused():
     G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=10.0)
     with pytest.raises(InputError, match="'side' must be one of"):

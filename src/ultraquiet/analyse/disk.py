@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse.margins import Margins, default_grid, even_sensitivity, grid_given, margins_of
+from ultraquiet.analyse.margins import Margins, default_grid, even_loop, even_sensitivity, grid_given, margins_of
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
 from ultraquiet.analyse.peaks import Crossings, diagonal, diagonal_at, ends, refined
 from ultraquiet.values.door import takes_systems
@@ -203,8 +203,12 @@ def _seen(who: str, plant: StateSpace, controller: StateSpace, side: str, skew: 
 
 
 def _both_sides(plant: StateSpace, controller: StateSpace) -> StateSpace:
-    """Return (I - L)^-1 for L = [0 G; K 0], the loop seen from outputs and inputs together."""
+    """Return D S D^-1, S = (I - L)^-1, for L = [0 G; K 0], the loop seen from outputs and inputs together.
+
+    D is diagonal and evens channels, as in `even_sensitivity`.
+    """
     ny, nu = plant.D.shape
+    plant, controller = even_loop(plant, controller)
     swap = np.block([[np.zeros((ny, nu)), np.eye(ny)], [np.eye(nu), np.zeros((nu, ny))]])
     loop = append(controller, plant)  # inputs (y, u), outputs (u, y)
     L = StateSpace(loop.A, loop.B, swap @ loop.C, swap @ loop.D, loop.rate_hz)
