@@ -95,6 +95,9 @@ def test_what_does_not_fit_is_refused():
         monte_carlo([gain([[1.0]], 20.0)], law)
     with pytest.raises(InputError, match="'band_hz' must lie"):
         monte_carlo([plant], law, (5.0, 2.0))
+    for beyond in ((4.0, 5.1), (6.0, 7.0)):
+        with pytest.raises(InputError, match="beyond Nyquist's 5 Hz; end it lower"):
+            monte_carlo([plant], law, beyond)
     with pytest.raises(InputError, match="no figure 'delay'"):
         monte_carlo([plant], law).quantile("delay", 0.5)
     assert monte_carlo([plant], law, (0.0, 5.0)).figures["worst_direction_db"][0] == pytest.approx(20 * np.log10(1.5))

@@ -47,3 +47,5 @@ def test_benches_are_drawn_one_unit_each():
         campaign([], gain([[1.0]], 10.0), BAND_HZ)
     with pytest.raises(InputError, match="'band_hz' must lie"):
         campaign([], gain([[1.0]], 10.0), (100.0, 5.0))
+    with pytest.raises(InputError, match="campaign: 'band_hz' ends at 2000 Hz, beyond Nyquist's 1750 Hz"):
+        campaign([first], gain(np.zeros((6, 6)), 3500.0), (100.0, 2000.0))

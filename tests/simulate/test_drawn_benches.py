@@ -56,6 +56,13 @@ def test_rows_are_what_algebra_says_and_units_change_nothing():
                 assert one["attenuation_db"] == pytest.approx(other["attenuation_db"], abs=1e-6)
 
 
+@pytest.mark.parametrize("band_hz", [(60.0, 120.0), (120.0, 150.0)])
+@pytest.mark.parametrize("on", ["truth", "bench"])
+def test_a_band_that_ends_beyond_nyquist_is_refused_before_any_case(band_hz, on):
+    with pytest.raises(InputError, match="not below Nyquist's 100 Hz; end it lower"):
+        campaign(band_hz=band_hz, on=on)
+
+
 def test_some_of_the_cases_are_measured_besides(tmp_path):
     both = run_campaign(campaign(measured=3), 5, tmp_path / "both.jsonl", workers=1)
     for row in both[3:]:

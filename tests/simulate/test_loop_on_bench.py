@@ -106,6 +106,9 @@ def test_refusals(loop):
     bench = wrapped(plant)
     with pytest.raises(InputError, match=r"between 0\.5 and 500 Hz"):
         uq.simulate.attenuation(bench, law, (0.1,), duration_s=4.0)
+    for beyond in (500.0, 600.0):
+        with pytest.raises(InputError, match="must lie below Nyquist's 500 Hz"):
+            uq.simulate.attenuation(bench, law, (25.0, beyond))
     for wrong in ({"tones_hz": ()}, {"tones_hz": 5}, {"amplitude_v": 0.0}, {"amplitude_v": -1.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             uq.simulate.attenuation(bench, law, **{"tones_hz": (25.0,), **wrong})

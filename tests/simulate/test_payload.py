@@ -83,6 +83,12 @@ def test_a_stepped_law_and_one_of_all_channels_do_the_same():
         ({"band_hz": (5.0, 400.0)}, "Nyquist"),
         ({"band_hz": (0.2, 40.0)}, "fewer than two periods"),
         ({"level": -1.0}, "above zero"),
+        ({"tones_hz": (10.0, 400.0)}, "'tones_hz' must lie below Nyquist's 250 Hz, got 400 Hz"),
+        ({"tones_hz": (250.0,)}, "below Nyquist"),
+        ({"tones_hz": (249.99,)}, "8 s do not tell from Nyquist's frequency the tone of 249.99 Hz"),
+        ({"tones_hz": (0.05,)}, "8 s are less than a period of the tone of 0.05 Hz"),
+        ({"tones_hz": (10.0, -3.0)}, "'tones_hz' must be above zero"),
+        ({"tones_hz": ("ten",)}, "'tones_hz' must be one number or several"),
     ],
 )
 def test_what_cannot_be_measured_is_said(change, words):
@@ -90,6 +96,18 @@ def test_what_cannot_be_measured_is_said(change, words):
         measure_payload(
             Mounted(), law(), PayloadSetup(**{"shaker": "shaker", "sensors": LISTENED, "band_hz": BAND_HZ} | change)
         )
+
+
+def test_a_tone_between_two_lines_is_read_at_the_line_that_it_was_sent_at():
+    """Of 3.5 Hz and a period of one second the nearest lines are two."""
+    setup = PayloadSetup("shaker", LISTENED, (2.0, 60.0), tones_hz=(3.5, 24.5), seconds=1.0, settle_s=1.0)
+    found = measure_payload(Mounted(), law(), setup)
+    amplitude = np.abs(found.tones.opened.payload.amplitude).sum(axis=0)
+    sent = found.tones.opened.payload.f_hz[np.sort(np.argsort(amplitude)[-2:])]
+    for (tone, db), f in zip(found.tones_db.items(), sent, strict=True):
+        opened, closed = heard(plant(), law(), np.array([f]), 2)
+        assert abs(tone - f) == 0.5
+        assert db == pytest.approx(-20 * np.log10(np.linalg.norm(closed) / np.linalg.norm(opened)), abs=0.02)
 
 
 def test_a_bench_without_instruments_and_a_law_of_other_channels_are_told_so():

@@ -95,6 +95,14 @@ def between(who: str, name: str, value: float, low: float, high: float, unit: st
     return number
 
 
+def below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> float:
+    """Return a frequency in Hz above zero and below half the rate, where a sampled sine is none any more."""
+    number = positive(who, name, f_hz, "Hz")
+    if number >= rate_hz / 2:
+        raise InputError(f"{who}: '{name}' must lie below Nyquist's {rate_hz / 2:g} Hz, got {number:g} Hz.")
+    return number
+
+
 def whole(who: str, name: str, value: Any, low: int, high: int | None = None) -> int:
     """Return a whole number not below `low` (and not above `high`)."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):

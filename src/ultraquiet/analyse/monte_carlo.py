@@ -124,7 +124,7 @@ def monte_carlo(
         at the same time), `gain_margin_db`, `phase_margin_deg` and `delay_margin_s` (smallest over loops and sides).
 
     Raises:
-        InputError: no plants, one that does not fit the controller, a band that is none.
+        InputError: no plants, one that does not fit the controller, a band that is none or ends beyond Nyquist.
 
     >>> plants = [StateSpace([[a]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0) for a in (0.3, 0.5, 1.6)]
     >>> found = monte_carlo(plants, StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0), (0.0, 5.0))
@@ -138,6 +138,8 @@ def monte_carlo(
     worst, badness, case = 0, -np.inf, None
     with task("loops", total) as progress:
         for k, plant in enumerate(plants):
+            if band_hz is not None:
+                checked_band("monte_carlo", band_hz, plant.rate_hz)
             rows.append(_figures(plant, controller, band_hz))
             progress.advance(note=f"plant {k + 1}")
             if case is None or rows[-1][PEAK] > badness:
@@ -155,12 +157,14 @@ def collected(
     return MonteCarlo(frozen(np.isfinite(figures[PEAK])), figures, worst, case, band_hz)
 
 
-def checked_band(who: str, band_hz: tuple[float, float]) -> None:
-    """Refuse a band that does not rise."""
+def checked_band(who: str, band_hz: tuple[float, float], rate_hz: float | None = None) -> None:
+    """Refuse a band that does not rise, or ends beyond Nyquist where a rate is given."""
     if np.shape(band_hz) != (2,):
         raise InputError(f"{who}: 'band_hz' must be two frequencies in Hz, got {band_hz!r}.")
     low, high = band_hz
     between(who, "band_hz", low, 0.0, positive(who, "band_hz", high, "Hz"), "Hz")
+    if rate_hz is not None and high > rate_hz / 2:
+        raise InputError(f"{who}: 'band_hz' ends at {high:g} Hz, beyond Nyquist's {rate_hz / 2:g} Hz; end it lower.")
 
 
 def _figures(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float] | None) -> dict[str, float]:
@@ -187,7 +191,6 @@ def _least(sides: list[Margins], name: str) -> float:
 
 def _worst_in_band(S: StateSpace, low: float, high: float) -> float:
     """Return the reduction in dB of the worst direction over a band."""
-    top = high if S.rate_hz is None else min(high, S.rate_hz / 2)
     response = response_at(S)
 
     def at(f: FloatArray) -> FloatArray:
@@ -196,5 +199,5 @@ def _worst_in_band(S: StateSpace, low: float, high: float) -> float:
     poles = S.poles()
     own = np.abs(poles.imag) if S.rate_hz is None else np.abs(np.angle(poles)) * S.rate_hz
     own = own / (2 * np.pi)
-    f = np.unique(np.concatenate([np.linspace(min(low, top), top, IN_BAND), own[(own > low) & (own < top)]]))
+    f = np.unique(np.concatenate([np.linspace(low, high, IN_BAND), own[(own > low) & (own < high)]]))
     return -20 * float(np.log10(refined(at, f, at(f))[0]))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, positive
+from ultraquiet._base.constraints import ComplexArray, FloatArray, below_nyquist, between, positive
 from ultraquiet._base.errors import InputError, InterlockError
 from ultraquiet._base.progress import Task, task
 from ultraquiet.bench import Bench
@@ -91,7 +91,8 @@ def attenuation(
         Attenuation with rows per tone and columns per sensor, and the records of both runs of each tone.
 
     Raises:
-        InputError: no tone, one above the Nyquist frequency or slower than the measured half of the run, no amplitude.
+        InputError: no tone, one not below the Nyquist frequency or slower than the measured half of the run, no
+            amplitude.
     """
     rate, n = bench.rate_hz, int(positive("attenuation", "duration_s", duration_s, "s") * bench.rate_hz)
     lowest = 1.0 / (MEASURED_SHARE * duration_s)
@@ -102,7 +103,8 @@ def attenuation(
     runs: list[tuple[Record, Record]] = []
     with task("closed loop", 2 * len(tones_hz)) as progress:
         for tone_hz in tones_hz:
-            f = between("attenuation", "tones_hz", tone_hz, lowest, rate / 2, "Hz")
+            f = below_nyquist("attenuation", "tones_hz", tone_hz, rate)
+            between("attenuation", "tones_hz", f, lowest, rate / 2, "Hz")
             opened, closed = _settled_runs(bench, controller, f, amplitude_v, n, progress)
             rows.append((*_tone(closed, f), _tone(opened, f)[0]))
             runs.append((opened, closed))

@@ -56,7 +56,7 @@ def campaign(benches: Iterable[Bench], controller: StateSpace | Controller, band
         `worst_direction_db` and `broadband_db` (worst sensor's power over the band), all as measured.
 
     Raises:
-        InputError: no benches, a band that is none or holds no line.
+        InputError: no benches, a band that is none, ends beyond Nyquist or holds no line.
 
     A model knows its own loop only; this is what the sensors say, with noise, rounding, limits and delay.
     """
@@ -65,6 +65,7 @@ def campaign(benches: Iterable[Bench], controller: StateSpace | Controller, band
     worst, badness, case = 0, -np.inf, None
     with task("benches", len(benches) if isinstance(benches, Sized) else 0) as progress:
         for k, bench in enumerate(benches):
+            checked_band("campaign", band_hz, bench.rate_hz)
             rows.append(_measured(bench, controller, band_hz))
             progress.advance(note=f"bench {k + 1}")
             if case is None or rows[-1][PEAK] > badness:

@@ -51,7 +51,8 @@ class Campaign:
         measured: so many of the first cases are judged on the truth and measured as well, with the same law.
 
     Raises:
-        InputError: no units, a bench without a linear model for "truth", a band that does not rise.
+        InputError: no units, a bench without a linear model for "truth", a band that does not rise or does not end
+            below Nyquist.
     """
 
     units: tuple[tuple[str, Bench], ...]
@@ -71,6 +72,7 @@ class Campaign:
         if not self.units:
             raise InputError(f"{WHO}: give at least one bench.")
         for name, bench in self.units:
+            rising_band(WHO, self.band_hz, bench.rate_hz)
             if self.on == "truth" and not callable(getattr(bench, "linear_model", None)):
                 raise InputError(
                     f"{WHO}: the bench '{name}' has no linear model, so nothing is known of it but by measuring; take "

@@ -44,7 +44,7 @@ class OpenPayload:
         setup: what shakes and what listens.
 
     Raises:
-        InputError: a channel that is not there, sensors of several units, a band beyond half the rate.
+        InputError: a channel that is not there, sensors of several units, a band or a tone beyond half the rate.
     """
 
     def __init__(self, bench: Bench, setup: PayloadSetup) -> None:
@@ -55,6 +55,7 @@ class OpenPayload:
         if setup.base and self.bench.sensors[self._base[0]].unit != self.bench.sensors[self._payload[0]].unit:
             raise InputError(f"{WHO}: 'base' and 'sensors' have different units; their ratio would be none.")
         self._period, self._samples = setup.periods(self.bench.rate_hz)
+        self._lines = setup.tone_lines(self.bench.rate_hz)
 
     @cached_property
     def noise(self) -> Shaken:
@@ -66,12 +67,17 @@ class OpenPayload:
     @cached_property
     def tones(self) -> Shaken | None:
         """The shaker's tones, all at once; None where none are asked for."""
-        if not self.setup.tones_hz:
+        if not self._lines:
             return None
         cycles = np.arange(self._period) / self._period
-        whole = [max(1, round(f * self.setup.seconds)) for f in self.setup.tones_hz]
-        period = np.sum([np.sin(2 * np.pi * k * cycles) for k in whole], axis=0) / len(whole)
+        period = np.sum([np.sin(2 * np.pi * k * cycles) for k in self._lines], axis=0) / len(self._lines)
         return self._opened(self.setup.shaker, period)
+
+    def tones_db(self, tones: PayloadReduction) -> dict[float, float]:
+        """Return the reduction of each tone, at the line it was sent at."""
+        line_hz = self.bench.rate_hz / self._period
+        lines = zip(self.setup.tones_hz, self._lines, strict=True)
+        return {float(f): tones.line_db(line * line_hz) for f, line in lines}
 
     @cached_property
     def force(self) -> Shaken | None:
@@ -193,5 +199,5 @@ def measure_payload(
         progress.advance(int(tones is not None), note=f"{setup.shaker}, tones")
         force = None if listened.force is None else listened.under(listened.force, controller)
         progress.advance(int(force is not None), note=f"{setup.force}, noise")
-    each = {} if tones is None else {float(f): tones.line_db(f) for f in setup.tones_hz}
+    each = {} if tones is None else listened.tones_db(tones)
     return PayloadVibration(noise, tones, each, force)

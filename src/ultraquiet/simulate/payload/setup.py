@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, positive, rising_band, whole
+from ultraquiet._base.constraints import FloatArray, below_nyquist, numbers, positive, rising_band, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.payload.wires import place_of
@@ -51,6 +51,8 @@ class PayloadSetup:
         positive(WHO, "settle_s", self.settle_s, "s")
         whole(WHO, "seed", self.seed, 0)
         rising_band(WHO, self.band_hz)
+        for f in numbers(WHO, "tones_hz", self.tones_hz) if len(self.tones_hz) else ():
+            positive(WHO, "tones_hz", f, "Hz")
         if self.level is not None:
             positive(WHO, "level", self.level)
         if not self.sensors:
@@ -88,6 +90,21 @@ class PayloadSetup:
             raise InputError(f"{WHO}: {self.seconds:g} s hold fewer than two periods of {self.band_hz[0]:g} Hz.")
         rising_band(WHO, self.band_hz, rate_hz)
         return period, period + round(self.settle_s * rate_hz)
+
+    def tone_lines(self, rate_hz: float) -> list[int]:
+        """Return the line of the period that each tone is sent at, the nearest one, counted in whole periods.
+
+        Raises:
+            InputError: a tone that is none at this rate, or slower than the period that is measured.
+        """
+        period, lines = self.periods(rate_hz)[0], list[int]()
+        for f in self.tones_hz:
+            line = round(below_nyquist(WHO, "tones_hz", f, rate_hz) * period / rate_hz)
+            if not 0 < line < period / 2:
+                where = "are less than a period of" if not line else "do not tell from Nyquist's frequency"
+                raise InputError(f"{WHO}: {self.seconds:g} s {where} the tone of {f:g} Hz; make 'seconds' longer.")
+            lines.append(line)
+        return lines
 
 
 def repeated(period: FloatArray, samples: int) -> FloatArray:
