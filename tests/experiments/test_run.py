@@ -111,6 +111,54 @@ signal = { method = "step", level_v = "$level", rise_s = 0.0, fall_s = 0.1 }
     assert records["last"].inputs[1, 0] == 3.0
 
 
+STEP = 'do = "excite"\nactuator = 1\nsamples = 200\n' + (
+    'signal = { method = "step", level_v = "$round", rise_s = 0.0, fall_s = 0.1 }\n'
+)
+
+
+def test_after_an_inner_repeat_the_round_is_the_outer_one_again(bench, tmp_path):
+    text = f"""
+[[commands]]
+do = "repeat"
+times = 2
+[[commands.commands]]
+name = "before"
+{STEP}
+[[commands.commands]]
+do = "repeat"
+times = 3
+[[commands.commands.commands]]
+name = "inside"
+{STEP}
+[[commands.commands]]
+name = "after"
+{STEP}
+"""
+    sent = {name: record.inputs[0, 0] for name, record in run(text, tmp_path, bench).items()}
+    assert {name: level for name, level in sent.items() if "inside" not in name} == {
+        "before-r1": 1.0, "after-r1": 1.0, "before-r2": 2.0, "after-r2": 2.0,
+    }  # fmt: skip
+    assert [level for name, level in sent.items() if "inside" in name] == [1.0, 2.0, 3.0] * 2
+
+
+def test_outside_every_repeat_the_round_is_what_was_set_or_nothing(bench, tmp_path):
+    inner = f'[[commands]]\ndo = "repeat"\ntimes = 3\n[[commands.commands]]\nname = "inside"\n{STEP}'
+    after = f'[[commands]]\nname = "after"\n{STEP}'
+    records = run(f'[[commands]]\ndo = "set"\nround = 5\n{inner}{after}', tmp_path / "set", bench)
+    assert records["after"].inputs[0, 0] == 5.0
+    with pytest.raises(experiments.ListError, match="there is no variable 'round' here"):
+        experiments.parse(inner + after, bench)
+
+
+def test_a_refused_repeat_does_not_refuse_the_round_inside(bench):
+    text = f'[[commands]]\ndo = "repeat"\ntimes = 0\n[[commands.commands]]\nname = "inside"\n{STEP}'
+    with pytest.raises(experiments.ListError) as caught:
+        experiments.parse(text, bench)
+    assert [sentence for _, sentence in caught.value.mistakes] == [
+        "'times' should be greater than or equal to 1, got 0."
+    ]
+
+
 def test_random_signals_are_independent_and_repeatable(bench, tmp_path, seed):
     noise = 'signal = { method = "noise", stop_hz = 250.0 }'
     text = f"""

@@ -99,7 +99,7 @@ class Compiler:
         """Check the parts of a refused command that can be checked on their own."""
         word = _word(filled)
         if word == "repeat" and isinstance(raw.get("commands"), list):
-            self.walk(raw["commands"], (*place, "commands"))
+            self._walk_round(UNDEFINED, raw["commands"], place)
         # What switches these off again must not be told that nothing is on.
         if word == "controller-on":
             self._controller = (None, "refused")
@@ -155,9 +155,17 @@ class Compiler:
         for k in range(1, command.times + 1):
             if self._walked > MOST_COMMANDS:
                 break
-            self._round, self._variables["round"] = f"{outer}-r{k}", k
-            self.walk(command.commands, (*place, "commands"))
+            self._round = f"{outer}-r{k}"
+            self._walk_round(k, command.commands, place)
         self._round = outer
+
+    def _walk_round(self, number: Any, commands: Sequence[Any], place: Place) -> None:
+        """Walk the body of a repeat; `$round` is the round's number inside and afterwards what it was before."""
+        outer = {"round": self._variables["round"]} if "round" in self._variables else {}
+        self._variables["round"] = number
+        self.walk(commands, (*place, "commands"))
+        del self._variables["round"]
+        self._variables |= outer
 
     def _excite(self, command: c.Excite, place: Place) -> None:
         signal = make("signals", command.signal, (*place, "signal"), self._mistakes)
