@@ -83,6 +83,26 @@ def test_a_law_without_a_finite_answer_is_named_with_the_sample():
     assert "at sample 5 the controller must return 1 finite commands" in said[0][2]
 
 
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+@pytest.mark.parametrize("unit", [1e-9, 1.0])
+def test_a_model_that_runs_away_is_named_with_the_sample_and_no_law_blamed(ny, nu, unit, rng):
+    A = np.diag([2.0, *np.full(ny - 1, 0.5)])
+    model = uq.StateSpace(A, np.ones((ny, nu)), unit * rng.uniform(1, 2, (ny, ny)), np.zeros((ny, nu)), RATE_HZ)
+    bench, u = uq.bench.LinearBench(model), np.ones((nu, 1500))
+    idle = uq.StateSpace(*_nothing(nu, ny), RATE_HZ)
+    told = []
+    for controller in (None, idle, Asked(idle)):
+        blocks = bench.stream(u, None, controller, block_samples=1500)
+        kept = next(blocks).readings
+        assert np.isfinite(kept).all()
+        with pytest.raises(InputError, match="readings were no longer finite numbers: it ran away") as caught:
+            next(blocks)
+        told.append((kept.shape[1], str(caught.value)))
+        assert f"at sample {kept.shape[1]} " in told[-1][1]
+    assert told[0] == told[1] == told[2]
+    assert bench.run(u[:, :900]).outputs.max() > 1e200 * unit
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_compiled_code_runs_in_the_loop_as_it_does_step_by_step(precision, rng, tmp_path):
     model, law = drawn(rng, 5, 3, 2, False), drawn(rng, 4, 2, 3, True)

@@ -78,6 +78,15 @@ def hold(values, low, high, into):
 
 
 @compiled
+def standing(values):
+    """Return whether all values are finite."""
+    finite = 0
+    for i in range(values.size):
+        finite += np.isfinite(values[i])
+    return finite == values.size
+
+
+@compiled
 def slip(thresholds, weights, anchors, values):
     """Send the leading values through plays: each anchor is dragged along once its value is a threshold away.
 
@@ -157,12 +166,13 @@ def loop(plant, law, code, signals, limits, state, xk, results):
 
 @compiled
 def linear_loop(plant, law, code, limits, signals, state, results):
-    """Run a linear plant and a linear law on from `state`; return before which sample the law had no finite answer.
+    """Run a linear plant and a linear law on from `state`; return before which sample either had no finite answer.
 
     Signals and results are `(samples, channels)`, matrices laid out as in `loop`. plant = (A, B, C, D, whether D acts),
     law = (A, B, C, D), code as in `loop`, limits = (lower and upper of commands, lower and upper of readings), signals
     = (actuation, disturbance, gain of whatever is sent), state = (x, state of the law, held commands), results =
-    (commands before their limits, readings, the law's last answer), all of them filled here.
+    (commands before their limits, readings, the law's last answer), all of them filled here; readings that are not
+    finite are the last ones, and the law is not asked.
     """
     (A, A_first, A_end), (B, B_first, B_end), C, D, direct = plant
     (KA, KA_first, KA_end), (KB, KB_first, KB_end), KC, KD = law
@@ -188,6 +198,8 @@ def linear_loop(plant, law, code, limits, signals, state, results):
         hold(y, least, most, y)
         for i in range(y.size):
             readings[k, i] = y[i]
+        if not standing(y):
+            return k
         add_wide_product(KC, xk, answer)
         add_wide_product(KD, y, answer)
         advance(KA, KA_first, KA_end, KB, KB_first, KB_end, xk, y, workk)

@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, few_finite
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench.columns import called, spanned, turned
-from ultraquiet.bench.stepped import AsOne, Setup, Stepped, SteppedPlant
+from ultraquiet.bench.stepped import AsOne, Setup, Stepped, SteppedPlant, require_standing
 from ultraquiet.values import Channel, Controller, StateSpace
 from ultraquiet.values.controller import MachineStep, SteppedController
 from ultraquiet.values.interconnect import gain
@@ -84,6 +84,7 @@ class _Linear(SteppedPlant):
     def start(self, run_index: int) -> None:
         self.x[:] = 0.0
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is told by the readings
     def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
         m, e = self.model, u + d
         if self.direct:
@@ -92,7 +93,9 @@ class _Linear(SteppedPlant):
         else:  # what was sent a sample ago is what the model calls its input then
             self.x[:] = m.A @ self.x + m.B @ e
             y = m.C @ self.x
-        return np.minimum(np.maximum(y, self.low), self.high)  # a third of the time of `np.clip`
+        y = np.minimum(np.maximum(y, self.low), self.high)  # a third of the time of `np.clip`
+        require_standing(WHO, y, k)
+        return y
 
     def as_one(self, law: Controller | None) -> "_LinearLoop | None":
         if type(law) is SteppedController:
@@ -117,10 +120,13 @@ class _LinearLoop(AsOne):
 
     def __call__(
         self, held: FloatArray, u: FloatArray, d: FloatArray, gain: FloatArray, limits: tuple[FloatArray, FloatArray]
-    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
         from ultraquiet.bench.kernels import linear_loop
 
         asked, heard, answer = np.empty_like(u), np.empty((len(u), self._readings[0].size)), np.empty_like(held)
         ends, state = (*limits, *self._readings), (self._x, self._of_law, held)
         done = linear_loop(self._plant, self._law, self._code, ends, (u, d, gain), state, (asked, heard, answer))
-        return asked[:done], heard[:done], answer if done < len(u) else None
+        if done == len(u):
+            return asked, heard, None, None
+        ran_away = None if few_finite(heard[done]) else heard[done]
+        return asked[:done], heard[:done], ran_away, answer if ran_away is None else None

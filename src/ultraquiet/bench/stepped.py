@@ -33,7 +33,7 @@ class AsOne(Protocol):
 
     def __call__(
         self, held: FloatArray, u: FloatArray, d: FloatArray, gain: FloatArray, limits: tuple[FloatArray, FloatArray]
-    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
         """Run over a block.
 
         Args:
@@ -44,8 +44,8 @@ class AsOne(Protocol):
             limits: lower and upper of the commands.
 
         Returns:
-            Commands before their limits `(samples, nu)`, readings `(samples, ny)`, both as far as the law had finite
-            answers, and the answer that was not.
+            Commands before their limits `(samples, nu)`, readings `(samples, ny)`, both as far as plant and law had
+            finite answers, and where one had not the plant's readings or the law's answer.
         """
         ...
 
@@ -196,10 +196,12 @@ class Loop:
         now = slice(start, start + y.shape[1])
         gain = self.gain[now]
         u, d = (np.ascontiguousarray(signal.T) for signal in (self.u[:, now], gain * self.d[:, now]))
-        asked, heard, wrong = as_one(self.held_command, u, d, gain, (self.low, self.high))
+        asked, heard, ran_away, wrong = as_one(self.held_command, u, d, gain, (self.low, self.high))
         done = len(asked)
         requested[:, :done], y[:, :done] = asked.T, heard.T
         yield done
+        if ran_away is not None:
+            require_standing(self.setup.who, ran_away, start + done)
         if wrong is not None:
             commands(self.setup.who, wrong, wrong.size, start + done)
 
@@ -265,6 +267,15 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
     finally:
         if not resting:
             plant.rest(None)
+
+
+def require_standing(who: str, y: FloatArray, k: int) -> None:
+    """Refuse readings of a model that are no longer finite numbers."""
+    if not few_finite(y):
+        raise InputError(
+            f"{who}: at sample {k} the plant's readings were no longer finite numbers: it ran away; make the run"
+            " shorter or give a controller that holds it."
+        )
 
 
 def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
