@@ -9,13 +9,14 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, below_nyquist
 from ultraquiet._base.errors import InputError, InterlockError
 from ultraquiet._base.progress import Task, task
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.loop import disturb, samples_of
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
 
 # The part of the run that is measured; before it the loop settles.
 MEASURED_SHARE = 0.5
+LEAST = 5  # samples of a run: what is measured of fewer holds no whole period of any tone below Nyquist
 # A run in which the tone has not settled is made again, this many times longer, as often as this.
 LONGER, LENGTHENED = 4, 2
 # It has settled where it changes by no more than half a dB until the longest run's end, or so many deviations of noise.
@@ -92,9 +93,9 @@ def attenuation(
 
     Raises:
         InputError: no tone, one not below the Nyquist frequency or slower than the measured half of the run, no
-            amplitude.
+            amplitude; a run too short for any tone.
     """
-    rate, n = bench.rate_hz, int(positive("attenuation", "duration_s", duration_s, "s") * bench.rate_hz)
+    rate, n = bench.rate_hz, samples_of("attenuation", duration_s, bench.rate_hz, LEAST)
     lowest = 1.0 / (MEASURED_SHARE * duration_s)
     positive("attenuation", "amplitude_v", amplitude_v)
     if np.ndim(tones_hz) != 1 or not len(tones_hz):

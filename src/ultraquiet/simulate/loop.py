@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.controller import Controller
@@ -15,3 +16,18 @@ def disturb(bench: Bench, disturbance: FloatArray, controller: StateSpace | Cont
     if d.ndim != 2 or d.shape[0] != len(bench.actuators):
         raise InputError(f"simulate: the disturbance must be ({len(bench.actuators)}, n), got shape {d.shape}.")
     return bench.run(np.zeros_like(d), disturbance=d, controller=controller)
+
+
+def samples_of(who: str, duration_s: float, rate_hz: float, least: int) -> int:
+    """Return how many samples a run of `duration_s` has.
+
+    Raises:
+        InputError: fewer than `least`.
+    """
+    samples = int(positive(who, "duration_s", duration_s, "s") * rate_hz)
+    if samples < least:
+        raise InputError(
+            f"{who}: 'duration_s' = {duration_s:g} s holds {counted(samples, 'sample')}; it takes {least} or more, "
+            f"{least / rate_hz:g} s here."
+        )
+    return samples

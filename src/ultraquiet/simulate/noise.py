@@ -8,12 +8,13 @@ from ultraquiet._base.constraints import FloatArray, positive, rising_band, whol
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.loop import disturb, samples_of
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.controller import Controller
 
 WHO = "noise_reduction"
 MEASURED_SHARE = 0.5  # of a run; before it the loop settles
+LEAST = 3  # samples of a run: fewer hold no line between rest and Nyquist
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +53,11 @@ def noise_reduction(
         `NoiseReduction`.
 
     Raises:
-        InputError: a band beyond the Nyquist frequency, or one so narrow that the run holds no line of it.
+        InputError: a band beyond the Nyquist frequency, a run so short or a band so narrow that it holds no line.
     """
     rate = bench.rate_hz
     low, high = rising_band(WHO, band_hz, rate)
-    n = int(positive(WHO, "duration_s", duration_s, "s") * rate)
+    n = samples_of(WHO, duration_s, rate, LEAST)
     d = positive(WHO, "amplitude", amplitude) * band_noise(WHO, len(bench.actuators), n, rate, (low, high), seed)
     with task("noise", 2) as progress:
         opened = _rms(disturb(bench, d))

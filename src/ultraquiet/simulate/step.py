@@ -7,13 +7,14 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.loop import disturb, samples_of
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.controller import Controller
 
 WHO = "step_reduction"
 SETTLED = 0.02  # of the largest excursion: within it a reading has settled
 ABOVE_NOISE = 4.0  # deviations of what a reading does before the step
+LEAST = 2  # samples of a run: one before the step, one after it
 REST_SHARE, END_SHARE = 0.1, 0.1  # of a run, before the step, and at its end: where a reading comes to
 
 
@@ -50,9 +51,9 @@ def step_reduction(
         `StepReduction`.
 
     Raises:
-        InputError: no amplitude, no duration.
+        InputError: no amplitude, a duration too short for a step.
     """
-    n = int(positive(WHO, "duration_s", duration_s, "s") * bench.rate_hz)
+    n = samples_of(WHO, duration_s, bench.rate_hz, LEAST)
     before = max(1, int(REST_SHARE * n))
     positive(WHO, "amplitude", amplitude)
     nu = len(bench.actuators)
