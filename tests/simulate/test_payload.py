@@ -82,6 +82,7 @@ def test_a_stepped_law_and_one_of_all_channels_do_the_same():
         ({"sensors": ()}, "at least one sensor"),
         ({"band_hz": (5.0, 400.0)}, "Nyquist"),
         ({"band_hz": (0.2, 40.0)}, "fewer than two periods"),
+        ({"band_hz": (10.01, 10.02)}, "8 s holds no line between 10.01 and 10.02 Hz; make it longer or the band wider"),
         ({"level": -1.0}, "above zero"),
         ({"tones_hz": (10.0, 400.0)}, "'tones_hz' must lie below Nyquist's 250 Hz, got 400 Hz"),
         ({"tones_hz": (250.0,)}, "below Nyquist"),
@@ -108,6 +109,20 @@ def test_a_tone_between_two_lines_is_read_at_the_line_that_it_was_sent_at():
         opened, closed = heard(plant(), law(), np.array([f]), 2)
         assert abs(tone - f) == 0.5
         assert db == pytest.approx(-20 * np.log10(np.linalg.norm(closed) / np.linalg.norm(opened)), abs=0.02)
+
+
+@pytest.mark.parametrize("band_hz", [(10.0, 10.2), (10.0, 10.1), (30.1, 30.3)])
+def test_a_band_narrower_than_what_is_drawn_is_told_line_by_line(band_hz):
+    setup = PayloadSetup("shaker", LISTENED, band_hz, base=UNDER, seconds=8.0, settle_s=1.0)
+    for found in (measure_payload(Mounted(), law(), s).noise for s in (setup, replace(setup, base=()))):
+        f = found.opened.payload.f_hz
+        lines = f[(f >= band_hz[0]) & (f <= band_hz[1])]
+        reductions = [found.line_db(line) for line in lines]
+        assert found.worst_db() == pytest.approx((min(reductions), lines[np.argmin(reductions)]))
+        assert np.array_equal(found.transmissibility[0], lines)
+        opened, closed = found.transmissibility[1:]
+        assert np.isfinite([opened, closed]).all()
+    assert -20 * np.log10(closed / opened) == pytest.approx(reductions)  # over the same command where no base is read
 
 
 def test_a_bench_without_instruments_and_a_law_of_other_channels_are_told_so():

@@ -82,7 +82,7 @@ def band_noise(
     if not inside.any():
         raise InputError(
             f"{who}: a run of {n / rate_hz:g} s holds no line between {band_hz[0]:g} and {band_hz[1]:g} Hz; make "
-            f"'duration_s' longer."
+            "it longer or the band wider."
         )
     draw = np.random.default_rng(whole(who, "seed", seed, 0)).standard_normal((2, channels, f.size))
     spectrum = draw[0] + 1j * draw[1]

@@ -59,7 +59,10 @@ class PayloadReduction:
         return float(10 * np.log10(power[0] / power[1]))
 
     def worst_db(self, width_hz: float = SHOWN_HZ) -> tuple[float, float]:
-        """Return the least reduction of any part of the band, means over `width_hz`, and where it is in Hz."""
+        """Return the least reduction of any part of the band, means over `width_hz`, and where it is in Hz.
+
+        Of a band narrower than that it is the least of any line.
+        """
         f, opened, closed = self._shown(width_hz)
         reduction = 10 * np.log10(opened / closed)
         return float(reduction.min()), float(f[int(np.argmin(reduction))])
@@ -71,22 +74,30 @@ class PayloadReduction:
         Over the command of the actuator that shakes where nothing is read on the base.
         """
         gains: list[FloatArray] = []
-        f, *payload = self._shown(SHOWN_HZ)
+        width_hz = self._width(SHOWN_HZ)
+        f, *payload = self._shown(width_hz)
         for power, heard in zip(payload, (self.opened, self.closed), strict=True):
             if heard.base is None:
                 even = self.level**2 / (self.band_hz[1] - self.band_hz[0])
                 gains.append(np.sqrt(power / even))
             else:
-                at, base = heard.base.together(SHOWN_HZ)
+                at, base = heard.base.together(width_hz)
                 inside = (at >= self.band_hz[0]) & (at <= self.band_hz[1])
                 gains.append(np.sqrt(power / base[inside]))
         return f, gains[0], gains[1]
 
     def _shown(self, width_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return frequencies of the band and the density of all sensors, without and with the law."""
+        width_hz = self._width(width_hz)
         (f, opened), (_, closed) = (h.payload.together(width_hz) for h in (self.opened, self.closed))
         inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
         return f[inside], opened[inside], closed[inside]
+
+    def _width(self, width_hz: float) -> float:
+        """Return over what lines are meant: that of a single line where no mean lies inside the band."""
+        f, _ = self.opened.payload.together(width_hz)
+        some = np.any((f >= self.band_hz[0]) & (f <= self.band_hz[1]))
+        return width_hz if some else self.opened.payload.line_hz
 
     def _band(self, low_hz: float | None, high_hz: float | None) -> tuple[float, float]:
         low, high = self.band_hz
