@@ -111,6 +111,30 @@ def test_a_plant_closes_the_loop_before_commands_are_judged(rng):
     assert (below.on, above.on) == (False, True)
 
 
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_a_plant_that_closes_no_loop_is_refused_before_commands_are_judged(ny, nu, unit, rng, tmp_path):
+    n = min(ny, nu)
+    D = np.eye(nu, ny) / unit
+    law = StateSpace(0.5 * np.eye(n), 0.1 * np.eye(n, ny), np.eye(nu, n), D, rate_hz=RATE_HZ)
+    taller = StateSpace(np.eye(1) / 2, np.ones((1, nu)), np.ones((ny + 1, 1)), np.zeros((ny + 1, nu)), rate_hz=RATE_HZ)
+    turns = np.linalg.qr(rng.standard_normal((nu, nu)))[0] @ np.eye(nu, ny)
+    at_once = StateSpace(np.eye(1) / 2, np.ones((1, nu)), np.ones((ny, 1)), unit * turns.T, rate_hz=RATE_HZ)
+    singular = StateSpace(law.A, law.B, law.C, turns / unit, rate_hz=RATE_HZ)
+    settings = {"anti_windup": "auto", "disturbance_v": np.ones((ny, 10)), "limits_v": 1.0}
+    with pytest.raises(InputError, match="does not close a loop"):
+        generate(law, tmp_path / "code", plant=taller, **settings)
+    with pytest.raises(InputError, match="ill-posed"):
+        generate(singular, tmp_path / "code", plant=at_once, **settings)
+    assert not (tmp_path / "code").exists()
+
+
+def test_a_loop_that_runs_away_under_its_disturbance_is_refused_as_unstable(tmp_path):
+    law, plant = mode(20.0, 0.1), StateSpace([[1.2]], [[1.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
+    settings = {"anti_windup": "auto", "disturbance_v": np.ones((1, 5000)), "limits_v": 1.0}
+    with pytest.raises(NumericalError, match="the loop of this plant and the law is unstable"):
+        generate(law, tmp_path / "code", plant=plant, **settings)
+
+
 def test_generate_follows_the_wish_while_the_budget_allows(tmp_path, law_of):
     slow = mode(0.3, 0.5)
     on = generate(slow, tmp_path / "code", anti_windup="auto")

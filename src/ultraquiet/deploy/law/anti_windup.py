@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, solve_discrete_are
 
-from ultraquiet._base.constraints import FloatArray, real_array, same_rate
+from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet.deploy.law.law import loop_coupling
 from ultraquiet.values.state_space import StateSpace
 
 # A state slower than the band of isolation (5 Hz and up) remembers a limit long after the disturbance has left it.
@@ -83,7 +84,7 @@ def decide_anti_windup(
         disturbance_v: d, what the sensors show without control, `(ny, n)` in volts at the law's rate.
 
     Raises:
-        InputError: a disturbance of another number of channels.
+        InputError: a disturbance of another number of channels, a plant that closes no loop with the law.
     """
     if isinstance(setting, bool):
         return AntiWindupDecision(setting, "asked for" if setting else "not asked for")
@@ -120,12 +121,11 @@ def _commands(controller: StateSpace, plant: StateSpace | None, disturbance_v: A
         raise InputError(f"deploy: 'disturbance_v' must have {controller.D.shape[1]} channels, got {d.shape}.")
     if plant is None:
         return controller.simulate(d)
-    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
-    G, K = plant, controller
-    M = np.linalg.inv(np.eye(K.D.shape[0]) - K.D @ G.D)
-    C = M @ np.hstack([K.D @ G.C, K.C])
-    D = M @ K.D
-    y = np.hstack([G.C, np.zeros((G.C.shape[0], K.states))]) + G.D @ C
+    G, K, coupling = plant, controller, loop_coupling(plant, controller)
+    y = coupling @ np.hstack([G.C, G.D @ K.C])
+    C = K.D @ y + np.hstack([np.zeros((K.C.shape[0], G.states)), K.C])
+    D = K.D @ coupling
     A = np.asarray(block_diag(G.A, K.A)) + np.vstack([G.B @ C, K.B @ y])
-    B = np.vstack([G.B @ D, K.B @ (np.eye(d.shape[0]) + G.D @ D)])
-    return StateSpace(A, B, C, D, rate_hz=K.rate_hz).simulate(d)
+    B = np.vstack([G.B @ D, K.B @ coupling])
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop is refused by who judges its rounding
+        return StateSpace(A, B, C, D, rate_hz=K.rate_hz).simulate(d)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.analyse.loop_response import loop_response
-from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.law import Law, loop_coupling
 from ultraquiet.deploy.law.realisation import FORMS
 from ultraquiet.values.state_space import StateSpace
 
@@ -126,15 +126,7 @@ def loop_radius(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def _loop_poles(plant: StateSpace, controller: StateSpace) -> ComplexArray:
-    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
-    if plant.D.shape != controller.D.T.shape:
-        raise InputError(
-            f"deploy: a plant {plant.D.shape} does not close a loop with a controller {controller.D.shape}."
-        )
-    try:
-        coupling = np.linalg.inv(np.eye(plant.D.shape[0]) - plant.D @ controller.D)
-    except np.linalg.LinAlgError:
-        raise InputError("deploy: the loop with this plant is ill-posed, I - D_G D_K is singular.") from None
+    coupling = loop_coupling(plant, controller)
     y_g, y_k = coupling @ plant.C, coupling @ plant.D @ controller.C
     u_g, u_k = controller.D @ y_g, controller.C + controller.D @ y_k
     A = np.block([[plant.A + plant.B @ u_g, plant.B @ u_k], [controller.B @ y_g, controller.A + controller.B @ y_k]])

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from ultraquiet._base.constraints import FloatArray, real_array
+from ultraquiet._base.constraints import FloatArray, real_array, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.realisation import DELTA_FORMS, turned
+from ultraquiet.values.joined.algebra import is_singular
 from ultraquiet.values.state_space import StateSpace
 
 Rounded = NDArray[Any]
@@ -216,6 +217,23 @@ def require_plant(plant: StateSpace | None) -> None:
     """
     if plant is not None and not isinstance(plant, StateSpace):
         raise InputError(f"deploy: 'plant' must be a StateSpace, got {type(plant).__name__}.")
+
+
+def loop_coupling(plant: StateSpace, controller: StateSpace) -> FloatArray:
+    """Return (I - D_G D_K)^-1, by which the readings of the loop y = G u + d, u = K y answer at once, `(ny, ny)`.
+
+    Raises:
+        InputError: another rate, sizes that do not fit, an ill-posed loop.
+    """
+    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+    if plant.D.shape != controller.D.T.shape:
+        raise InputError(
+            f"deploy: a plant {plant.D.shape} does not close a loop with a controller {controller.D.shape}."
+        )
+    at_once = np.eye(plant.D.shape[0]) - plant.D @ controller.D
+    if is_singular(at_once, plant.D, controller.D):
+        raise InputError("deploy: the loop with this plant is ill-posed, I - D_G D_K is singular.")
+    return np.asarray(np.linalg.inv(at_once), dtype=np.float64)
 
 
 def require_floating(who: str, made: object) -> None:
