@@ -93,12 +93,14 @@ class MeasuredSensitivity:
         sizes = principal_gains(self.S.values)
         count = min(self.opened.shape[:2])
         level = 20 * np.log10(np.maximum(sizes[:count], np.finfo(float).tiny)).mean(axis=0)
+        if level.size == 1:
+            return float(level[0])
         return float(np.trapezoid(level, self.f_hz) / (self.f_hz[-1] - self.f_hz[0]))
 
     def broadband_db(self, low_hz: float, high_hz: float) -> float:
         """Reduction of the RMS of the worst sensor under equal, independent disturbances over a band, in dB."""
         band = self._band(low_hz, high_hz)
-        width = np.gradient(self.f_hz)[band]
+        width = np.gradient(self.f_hz)[band] if self.f_hz.size > 1 else np.ones(1)
         power = [np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed)]
         return float(10 * np.log10(np.min(power[0] / power[1])))
 
