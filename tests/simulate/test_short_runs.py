@@ -1,11 +1,11 @@
-"""Runs of a few samples: refused with what would do, or measured as far as they reach."""
+"""Few samples, a single line, a loop without states: refused with what would do, or measured as far as they reach."""
 
 import numpy as np
 import pytest
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.simulate import attenuation, noise_reduction, step_reduction
+from ultraquiet.simulate import attenuation, check_stability, measure_sensitivity, noise_reduction, step_reduction
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import gain
 
@@ -31,3 +31,31 @@ def test_runs_too_short_for_noise_a_step_or_a_tone_say_how_long_would_do(ny, nu,
     assert np.isfinite(noise_reduction(bench, law, (0.1, 0.4), duration_s=3.0).reduction_db).all()
     assert np.isfinite(step_reduction(bench, law, duration_s=2.0).closed_peak).all()
     assert np.isfinite(attenuation(bench, law, (0.45,), duration_s=5.0).reduction_db).all()
+
+
+def drawn(rng, ny, nu, unit):
+    """A bench whose channels are all reached, and a law for it."""
+    B = 0.1 * unit * (np.eye(ny, nu) + 0.1 * rng.standard_normal((ny, nu)))
+    plant = StateSpace(0.9 * np.eye(ny), B, np.eye(ny), np.zeros((ny, nu)), rate_hz=1000.0)
+    return plant, gain(-0.5 / unit * np.eye(nu, ny), 1000.0)
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_a_sensitivity_of_one_line_has_a_broadband_figure_and_a_mean(ny, nu, unit, rng):
+    plant, law = drawn(rng, ny, nu, unit)
+    found = measure_sensitivity(uq.bench.LinearBench(plant), law, f_hz=[50.0])
+    opened, closed = (np.sum(np.abs(y[:, :, 0]) ** 2, axis=1) for y in (found.opened, found.closed))
+    assert found.broadband_db(10.0, 100.0) == pytest.approx(10 * np.log10((opened / closed).min()))
+    sizes = np.linalg.svd(found.S.values[:, :, 0], compute_uv=False)[: min(ny, nu)]
+    assert found.mean_log_db() == pytest.approx(20 * np.log10(sizes).mean())
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_a_model_without_states_beside_a_loop_forgets_at_once(ny, nu, unit, rng):
+    plant, law = drawn(rng, ny, nu, unit)
+    static = gain(unit * np.eye(ny, nu), 1000.0)
+    for bench in (plant, static):
+        check = check_stability(uq.bench.LinearBench(bench), law, model=static)
+        assert check.status.ok
+        assert check.model_growth_per_s < -1e5
+        assert check.model_growth_hz == 0.0

@@ -337,7 +337,7 @@ def _with_model(model: StateSpace, law: StateSpace | Controller) -> tuple[float 
     linear = _linear(law)
     if linear is None:
         return None, None
-    poles = feedback(model, linear).poles()
+    poles = np.append(feedback(model, linear).poles(), 0.0)  # without states a loop forgets as a pole at zero does
     slowest = poles[np.argmax(np.abs(poles))]
     rate = model.rate_hz or float("nan")
     turned = abs(float(np.angle(slowest))) * rate / (2 * np.pi)
