@@ -15,6 +15,7 @@ from ultraquiet.values import Channel
 Level = float | tuple[float, ...]
 # A difference of two samples that stands exactly at the limit may round to a little above it.
 ROUNDING = 1e-9
+FRAME_S, FRAMES = 0.5, 3.0  # longest time between two frames where nobody states one
 LARGEST = 1e150  # its square is a number yet
 
 
@@ -32,7 +33,8 @@ class Interlocks:
         rms: largest RMS value of a reading, measured with the time constant `rms_window_s` (first order).
         rms_window_s: see `rms`.
         late_frames: how many frames in a row may come too late.
-        frame_s: longest time between two frames: a driver that hangs for longer is not to be trusted.
+        frame_s: longest time between two frames: a driver that hangs for longer is not to be trusted. When absent half
+            a second, or three frames where these take longer.
         stop: emergency stop, asked in every sample; True ends the run.
         ramp_s: shortest time in which the actuators are brought to zero.
 
@@ -50,7 +52,7 @@ class Interlocks:
     rms: Level | None = None
     rms_window_s: float = 0.1
     late_frames: int = 10
-    frame_s: float = 0.5
+    frame_s: float | None = None
     stop: Callable[[], bool] | None = None
     ramp_s: float = 0.1
 
@@ -61,7 +63,8 @@ class Interlocks:
                 if value is not None:
                     positive("Interlocks", name, value)
         for name in ("rms_window_s", "frame_s", "ramp_s"):
-            positive("Interlocks", name, getattr(self, name), "s")
+            if getattr(self, name) is not None:
+                positive("Interlocks", name, getattr(self, name), "s")
         whole("Interlocks", "late_frames", self.late_frames, 0)
         if self.stop is not None and not callable(self.stop):
             raise InputError(f"Interlocks: 'stop' must be a function, got {type(self.stop).__name__}.")
@@ -80,6 +83,7 @@ class Guard:
         self.step = _levels("slew_per_s", interlocks.slew_per_s, actuators) / rate_hz
         self._reading = _levels("reading", interlocks.reading, sensors)
         self._rms = _levels("rms", interlocks.rms, sensors)
+        self._frame_s = _longest_frame(interlocks.frame_s, rate_hz)
         self._forget = -np.expm1(-1.0 / (interlocks.rms_window_s * rate_hz))
         self.reset()
         for c, least, most in zip(actuators, self.low, self.high, strict=True):
@@ -150,11 +154,11 @@ class Guard:
         if self._late > self.interlocks.late_frames:
             description = f"{self._late} frames in a row came too late, {self.interlocks.late_frames} are allowed"
             raise self._tripped("late frames", k, self._late, description)
-        if elapsed_s > self.interlocks.frame_s:
-            description = f"the frame before took {elapsed_s:.3g} s, {self.interlocks.frame_s:g} s are allowed"
+        if elapsed_s > self._frame_s:
+            description = f"the frame before took {elapsed_s:.3g} s, {self._frame_s:g} s are allowed"
             raise self._tripped("frame", k, elapsed_s, description)
         # The run itself is as long as was foreseen; only a clock that is slow makes it longer.
-        if self.interlocks.duration_s is not None and since_s > self.interlocks.duration_s + self.interlocks.frame_s:
+        if self.interlocks.duration_s is not None and since_s > self.interlocks.duration_s + self._frame_s:
             raise self._tripped("duration", k, since_s, f"the run has taken {since_s:.3g} s already")
 
     def _outgoing(self, value: FloatArray, before: FloatArray) -> tuple[str, str, float]:
@@ -172,6 +176,18 @@ class Guard:
     def _tripped(self, interlock: str, k: int, value: float, description: str) -> InterlockError:
         sentence = f"Hardware: the interlock '{interlock}' ended the run at sample {k}: {description}."
         return InterlockError(sentence, interlock, k, float(value))
+
+
+def _longest_frame(frame_s: float | None, rate_hz: float) -> float:
+    """Return the longest time between two frames in seconds; one that every frame exceeds is refused."""
+    if frame_s is None:
+        return max(FRAME_S, FRAMES / rate_hz)
+    if frame_s * rate_hz <= 1.0:
+        raise InputError(
+            f"Hardware: at {rate_hz:g} Hz a frame takes {1 / rate_hz:g} s and the interlock 'frame_s' allows "
+            f"{frame_s:g} s; allow a few frames, {FRAMES / rate_hz:g} s, or leave it away."
+        )
+    return frame_s
 
 
 def _levels(name: str, level: Level | None, channels: tuple[Channel, ...]) -> FloatArray:
