@@ -91,3 +91,16 @@ def test_a_setting_that_is_none_is_refused_in_a_sentence(law_of, tmp_path, setti
 def test_options_are_checked_where_they_are_made(make, sentence):
     with pytest.raises(InputError, match=sentence):
         make()
+
+
+@pytest.mark.parametrize("rate_hz", [0.01, 0.9, 1.0, 2.9])
+def test_a_ramp_that_nobody_chose_has_a_sample_at_least(rate_hz):
+    assert CodeOptions().ramp_steps(rate_hz) == 1
+    with pytest.raises(InputError, match="'ramp_s in samples' must be between 1 and"):
+        CodeOptions(ramp_s=0.4 / rate_hz).ramp_steps(rate_hz)
+
+
+def test_a_law_of_a_sample_a_second_becomes_code(law_of, tmp_path):
+    law = law_of(4)
+    slow = type(law)(law.A, law.B, law.C, law.D, rate_hz=1.0)
+    assert generate(slow, tmp_path / "code").law.ramp_steps == 1

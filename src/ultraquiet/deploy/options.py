@@ -66,12 +66,13 @@ class CodeOptions(Shown):
             one_of("deploy", "anti_windup", self.anti_windup, ("auto",))
 
     def ramp_steps(self, rate_hz: float) -> int:
-        """Return the ramp in samples.
+        """Return the ramp in samples; the one that nobody chose has a sample at least, however slow the rate.
 
         Raises:
             InputError: less than one sample, or more than float32 counts.
         """
-        return whole("deploy", "ramp_s in samples", round(self.ramp_s * rate_hz), 1, MAX_STEPS)
+        steps = round(self.ramp_s * rate_hz)
+        return whole("deploy", "ramp_s in samples", max(steps, int(self.ramp_s == RAMP_S)), 1, MAX_STEPS)
 
 
 @dataclass(frozen=True)
