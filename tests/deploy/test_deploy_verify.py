@@ -20,7 +20,8 @@ from ultraquiet.deploy.toolchain.emulator import build
 from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.deploy.verification.fuzz import fuzz_code
 from ultraquiet.simulate import attenuation
-from ultraquiet.values import StateSpace
+from ultraquiet.values import StateSpace, SteppedController
+from ultraquiet.values.interconnect import sensitivity
 
 LIBRARY_BYTES = 16  # the routine that clears memory, which the call graph does not hold
 
@@ -90,6 +91,35 @@ def test_on_bench_refuses_what_cannot_be_measured(loop, tmp_path):
     for settings in ({"tones_hz": ()}, {"tones_hz": (0.1,)}, {"amplitude_v": 0.0}, {"duration_s": -1.0}):
         with pytest.raises(InputError, match="on_bench"):
             on_bench(bench, law, code, **settings)
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+@pytest.mark.parametrize("rate_hz", [0.01, 2.0, 4.0, 1000.0])
+def test_tones_that_nobody_asked_for_are_below_nyquist_and_told_at_every_rate(ny, nu, unit, rate_hz):
+    B, D = 0.1 * unit * np.eye(ny, nu), np.zeros((ny, nu))
+    plant = StateSpace(0.9 * np.eye(ny), B, np.eye(ny), D, rate_hz)
+    n = min(ny, nu)
+    law = StateSpace(0.1 * np.eye(n), 0.1 * np.eye(n, ny), np.eye(nu, n) / unit, -0.3 / unit * np.eye(nu, ny), rate_hz)
+    found = on_bench(uq.bench.LinearBench(plant), law, SteppedController(law))
+    assert 0 < min(found.tones_hz) < max(found.tones_hz) < rate_hz / 2
+    assert found.status.ok
+    reached = slice(0, n)
+    S = np.abs(sensitivity(plant, law).frequency_response(found.tones_hz))
+    wanted = -20 * np.log10(np.array([np.diagonal(each)[reached] for each in np.moveaxis(S, 2, 0)]))
+    assert found.law_db[:, reached] == pytest.approx(wanted, abs=0.3)
+    bench, code = uq.bench.LinearBench(plant), SteppedController(law)
+    with pytest.raises(InputError, match="holds no tone below Nyquist's"):
+        on_bench(bench, law, code, duration_s=8 / rate_hz)
+    with pytest.raises(InputError, match="'tones_hz' must lie below Nyquist's"):
+        on_bench(bench, law, code, tones_hz=(rate_hz / 2,))
+
+
+def test_a_rounded_loop_is_told_at_no_tone_beyond_nyquist():
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
+    law = StateSpace([[0.1]], [[0.1]], [[1.0]], [[-0.3]], 1000.0)
+    assert reanalysis(law, law, plant, (5.0, 500.0)).status.ok
+    with pytest.raises(InputError, match="900 Hz lie beyond Nyquist's 500 Hz"):
+        reanalysis(law, law, plant, (5.0, 900.0))
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, positive
+from ultraquiet._base.constraints import FloatArray, below_nyquist, between, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
 from ultraquiet.bench import Bench
@@ -18,6 +18,7 @@ from ultraquiet.values.status import Status, StatusWord
 
 MEASURED_SHARE = 0.5  # of a run; before it the loop settles
 SLOWEST = 2.0  # periods that are measured of the slowest tone nobody asked for
+DURATION_S, SAMPLES = 2.0, 40  # of a run whose length nobody chose, whichever is longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def on_bench(
     code: Controller,
     tones_hz: Sequence[float] | None = None,
     amplitude_v: float = 1.0,
-    duration_s: float = 2.0,
+    duration_s: float | None = None,
 ) -> OnBench:
     """Disturb all actuators with a tone and compare what the law and its code leave of it.
 
@@ -75,19 +76,21 @@ def on_bench(
         code: what shall be deployed: the compiled code, or a `Processor`.
         tones_hz: tones in Hz; ends and middle of the law's own band when absent, as far as runs are long enough.
         amplitude_v: amplitude of each tone in volts at the plant's input.
-        duration_s: length of each run; its second half is measured.
+        duration_s: length of each run; its second half is measured. When absent two seconds, or 40 samples where these
+            take longer.
 
     Returns:
         `OnBench`.
 
     Raises:
-        InputError: no tone, or one too slow or too fast to be measured.
+        InputError: no tone, or one too slow or too fast to be measured; runs too short for any.
     """
     positive("on_bench", "amplitude_v", amplitude_v, "V")
+    if duration_s is None:
+        duration_s = max(DURATION_S, SAMPLES / (law.rate_hz or np.inf))
     positive("on_bench", "duration_s", duration_s, "s")
     if tones_hz is None:
-        slowest_hz = SLOWEST / (MEASURED_SHARE * duration_s)
-        tones_hz = [max(float(f), slowest_hz) for f in own_frequencies(law)]
+        tones_hz = _own_tones(law, duration_s)
     if np.ndim(tones_hz) != 1 or not tones_hz:
         raise InputError(f"on_bench: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
     fresh, same = _maker(bench)
@@ -96,10 +99,10 @@ def on_bench(
         sizes = []
         for controller in (None, law, code):
             fresh_bench = fresh()
-            f = between(
-                "on_bench", "tones_hz", tone_hz, 1.0 / (MEASURED_SHARE * duration_s), fresh_bench.rate_hz / 2, "Hz"
-            )
-            phase = 2 * np.pi * f * np.arange(int(duration_s * fresh_bench.rate_hz)) / fresh_bench.rate_hz
+            rate = fresh_bench.rate_hz
+            f = below_nyquist("on_bench", "tones_hz", tone_hz, rate)
+            between("on_bench", "tones_hz", f, 1.0 / (MEASURED_SHARE * duration_s), rate / 2, "Hz")
+            phase = 2 * np.pi * f * np.arange(int(duration_s * rate)) / rate
             d = np.tile(amplitude_v * np.sin(phase), (len(fresh_bench.actuators), 1))
             if controller is code:
                 code.reset()
@@ -108,6 +111,17 @@ def on_bench(
     opened, by_law, by_code = (np.array(column) for column in zip(*rows, strict=True))
     tones = tuple(float(f) for f in tones_hz)
     return OnBench(tones, 20 * np.log10(opened / by_law), 20 * np.log10(opened / by_code), same)
+
+
+def _own_tones(law: StateSpace, duration_s: float) -> list[float]:
+    """Return ends and middle of the law's own band, none slower than a run tells."""
+    slowest_hz, rate = SLOWEST / (MEASURED_SHARE * duration_s), law.rate_hz or np.inf
+    if slowest_hz >= rate / 2:
+        raise InputError(
+            f"on_bench: 'duration_s' = {duration_s:g} s holds no tone below Nyquist's {rate / 2:g} Hz; make it longer, "
+            f"{SAMPLES / rate:g} s."
+        )
+    return [max(float(f), slowest_hz) for f in own_frequencies(law)]
 
 
 def _maker(bench: Any) -> tuple[Callable[[], Any], bool]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.deploy.law.form_choice import loop_radius
@@ -91,7 +92,7 @@ def reanalysis(
         decibel or more.
 
     Raises:
-        InputError: shapes or rates that close no loop.
+        InputError: shapes or rates that close no loop, a tone beyond the Nyquist frequency.
 
     >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1000.0)
     >>> K = StateSpace([[0.9]], [[0.1]], [[-0.5]], [[-0.3]], rate_hz=1000.0)
@@ -100,6 +101,8 @@ def reanalysis(
     """
     same_rate("reanalysis", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
     f = frequency_array("reanalysis", own_frequencies(plant) if tones_hz is None else tones_hz)
+    if plant.rate_hz is not None and f.max(initial=0.0) > plant.rate_hz / 2:
+        raise InputError(f"reanalysis: {f.max():g} Hz lie beyond Nyquist's {plant.rate_hz / 2:g} Hz; leave them away.")
     figures = [_figures(law, plant, f) for law in (controller, rounded)]
     comparison = Reanalysis(Status(StatusWord.OK, ""), f, *figures)
     return Reanalysis(_status(comparison), f, *figures)
