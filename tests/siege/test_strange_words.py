@@ -10,7 +10,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.mistakes import Mistakes
 from ultraquiet._base.tables import settings_object
-from ultraquiet.deploy import generate
+from ultraquiet.deploy import generate, generate_fixed
 from ultraquiet.deploy.c31.cycles import kernel_cycles, largest_order, skeleton_cycles
 from ultraquiet.files.channel_rows import from_rows
 
@@ -40,6 +40,15 @@ def test_names_that_cmake_keeps_are_refused(tmp_path, name):
     law = uq.StateSpace([[0.5]], [[0.1]], [[1.0]], [[0.0]], 100.0)
     with pytest.raises(InputError, match="CMake keeps for itself"):
         generate(law, tmp_path / "code", name=name)
+    assert not (tmp_path / "code").exists()
+
+
+@pytest.mark.parametrize("name", ["float", "stdint", "strings"])
+def test_names_that_would_hide_headers_of_c_are_refused(tmp_path, name):
+    law = uq.StateSpace([[0.5]], [[0.1]], [[1.0]], [[0.0]], 100.0, None, [uq.Channel("u", "V", -1, 1)])
+    for make in (generate, generate_fixed):
+        with pytest.raises(InputError, match=f"would hide the header <{name}.h> of C; take another"):
+            make(law, tmp_path / "code", name=name)
     assert not (tmp_path / "code").exists()
 
 

@@ -20,6 +20,13 @@ Rounded = NDArray[Any]
 
 # Targets that CMake keeps for itself; names that begin with `cmake` are its variables' too.
 CMAKES_OWN = ("all", "clean", "edit_cache", "help", "install", "package", "package_source", "rebuild_cache", "test")
+# Headers of C (ISO/IEC 9899:2024) and those that the C libraries' own include: a NAME.h on the path would hide them.
+HEADERS = (
+    "assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits", "locale", "math",
+    "setjmp", "signal", "stdalign", "stdarg", "stdatomic", "stdbit", "stdbool", "stdckdint", "stddef", "stdint",
+    "stdio", "stdlib", "stdnoreturn", "string", "tgmath", "threads", "time", "uchar", "wchar", "wctype", "alloca",
+    "endian", "features", "newlib", "strings", "xlocale",
+)  # fmt: skip
 # Four frames of 286 us: the ramp out begins before the slowest isolated mode has seen a tenth of its period.
 OVERRUN_LIMIT = 4
 
@@ -207,6 +214,8 @@ def require_discrete(controller: StateSpace, name: str) -> None:
         raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
     if name in CMAKES_OWN or name.startswith("cmake"):
         raise InputError(f"deploy: 'name' {name!r} is one that CMake keeps for itself; take another.")
+    if name in HEADERS:
+        raise InputError(f"deploy: 'name' {name!r} would hide the header <{name}.h> of C; take another.")
 
 
 def require_plant(plant: StateSpace | None) -> None:
