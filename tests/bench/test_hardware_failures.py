@@ -7,7 +7,9 @@ import signal
 import numpy as np
 import pytest
 
+from ultraquiet._base.threads import in_threads
 from ultraquiet.bench import Hardware, Interlocks
+from ultraquiet.bench.hardware.termination import DEPARTURE, ENDINGS
 from ultraquiet.values import Channel
 
 RATE_HZ, SLEW_V_PER_S, AT = 1000.0, 2000.0, 60
@@ -127,3 +129,54 @@ def test_a_card_that_takes_nothing_any_more_is_named_to_whoever_stands_beside_it
     object.__setattr__(bench, "write", write)
     with pytest.raises(RuntimeError, match="switch them off by hand"):
         bench.run(np.minimum(np.arange(150) * 0.05, 5.0) * np.array([[1.0], [-0.8]]))
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
+def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, unit, number, monkeypatch):
+    """Loops are closed in threads, which no signal reaches; asked again on the way down, it goes on."""
+    monkeypatch.setattr(DEPARTURE, "_code", None)
+    held = [np.zeros(nu)]
+
+    def write(u):
+        held.append(u.copy())
+        if len(held) in (50, 55):
+            os.kill(os.getpid(), number)
+
+    actuators = [Channel(f"u{k}", unit, -5.0, 5.0) for k in range(nu)]
+    interlocks = Interlocks(slew_per_s=100.0)
+    sensors = [f"y{k}" for k in range(ny)]
+    bench = Hardware(write, lambda: np.zeros(ny), RATE_HZ, actuators, sensors, interlocks)
+    rising = np.minimum(np.arange(5000) * 0.05, 2.0) * np.ones((nu, 1))
+    before = {each: signal.getsignal(each) for each in ENDINGS}
+    try:
+        DEPARTURE.takes_signals()
+        with pytest.raises(SystemExit) as ended:
+            in_threads("close", lambda _: bench.run(rising), ["bench"], 1)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert ended.value.code == 128 + number
+    sent = np.array(held)
+    assert sent.max() > 1.5
+    assert not sent[-1].any()
+    assert np.abs(np.diff(sent, axis=0)).max() <= 100.0 / RATE_HZ * (1 + 1e-9)
+    assert len(sent) < 400, "the run did not go on"
+    assert DEPARTURE.way_down_s() == 0.0
+
+
+def test_the_longest_way_down_is_known_while_a_run_is_up():
+    """From the furthest value that may be sent, at the slew limit, or in the shortest ramp where that is longer."""
+    known = []
+    for slew, ramp_s in ((2.0, 0.1), (1e4, 0.3)):
+        bench = Hardware(
+            write=lambda u: known.append(round(DEPARTURE.way_down_s(), 6)),
+            read=lambda: [0.0],
+            rate_hz=RATE_HZ,
+            actuators=[Channel("u", "V", -9.0, 5.0)],
+            sensors=["y"],
+            interlocks=Interlocks(amplitude=8.0, slew_per_s=slew, ramp_s=ramp_s),
+        )
+        bench.run(np.zeros((1, 3)))
+    assert set(known) == {4.001, 0.3}
+    assert DEPARTURE.way_down_s() == 0.0

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -42,7 +42,13 @@ LONG_SAMPLES = 100_000  # of a list; while they are measured there is time to ma
 
 
 @single_threaded
-def measure(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Mapping[str, Record]:
+def measure(
+    settings: study.Study,
+    folder: Path,
+    beside: Path | None = None,
+    say: Say = print,
+    stop: Callable[[], bool] | None = None,
+) -> Mapping[str, Record]:
     """Return the records of a study's list, measured where they are not there yet; `walk` goes on from them.
 
     Args:
@@ -50,9 +56,11 @@ def measure(settings: study.Study, folder: Path, beside: Path | None = None, say
         folder: where `records/` goes.
         beside: folder of the study file.
         say: told what was kept under another name.
+        stop: asked while it measures, as `experiments.run` asks it.
 
     Raises:
         UltraquietError: as `walk`, up to its records.
+        StoppedError: `stop` said yes.
     """
     own = bench_of(settings, beside)
     if own is None:
@@ -64,7 +72,7 @@ def measure(settings: study.Study, folder: Path, beside: Path | None = None, say
         _require_space(folder)
         store = Records(listed, bench, partial(identity, own, bench_table(settings), beside), folder, say)
         store.claim()
-        return store.take()
+        return store.take(stop)
 
 
 @single_threaded

@@ -148,11 +148,12 @@ class _Rig(SteppedPlant):
         if not self._bench._running.acquire(blocking=False):
             raise BenchError("Hardware: another run is going on; finish or close that one first.")
         self._mine = True
-        self._termination.hold()
+        self._termination.hold(self._longest_s())
         self._began = self._before = time.perf_counter()
         self._write(self._last, 0)
 
     def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
+        self._termination.check()
         self._frame(k)
         value = u + d
         self.guard.out(value, self._last, k)
@@ -188,7 +189,7 @@ class _Rig(SteppedPlant):
     def _descend(self) -> tuple[BaseException | None, Exception | None]:
         """Lead the actuators to zero, whatever happens meanwhile; return an interrupt and a failure that stayed."""
         bench = self._bench
-        samples = self.guard.ramp_samples(self._last, int(np.ceil(bench.interlocks.ramp_s * bench.rate_hz)))
+        samples = self._ramp_samples(self._last)
         step = np.abs(self._last) / samples
         interrupt: BaseException | None = None
         failures: list[Exception] = []
@@ -209,6 +210,14 @@ class _Rig(SteppedPlant):
             except BaseException as error:  # Ctrl-C a second time must not keep the actuators where they are
                 interrupt, done = error, False
         return interrupt, None if done else failures[-1]
+
+    def _ramp_samples(self, value: FloatArray) -> int:
+        least = int(np.ceil(self._bench.interlocks.ramp_s * self._bench.rate_hz))
+        return self.guard.ramp_samples(value, least)
+
+    def _longest_s(self) -> float:
+        """Return how long the way down takes from the furthest value that may be sent."""
+        return self._ramp_samples(np.maximum(-self.guard.low, self.guard.high)) / self._bench.rate_hz
 
     def _idle(self) -> None:
         try:

@@ -11,25 +11,74 @@ ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT
 FATAL = 128  # the shell's exit code of a program that a signal ended is this much more
 
 
+class Departure:
+    """The end of this process from outside, of which its runs learn in whichever threads they are."""
+
+    def __init__(self) -> None:
+        self._code: int | None = None
+        self._up: dict[int, float] = {}
+
+    def begins(self, run: object, way_down_s: float) -> None:
+        """Note a run that is up, and the longest time that its actuators need to zero."""
+        self._up[id(run)] = way_down_s
+
+    def ends(self, run: object) -> None:
+        """Note that a run is over."""
+        self._up.pop(id(run), None)
+
+    def way_down_s(self) -> float:
+        """Return the longest time that runs which are up need to bring their actuators to zero, 0 without any."""
+        return max(list(self._up.values()), default=0.0)
+
+    def takes_signals(self) -> None:
+        """From here on a signal that would end this process ends its runs at their next samples, then the process.
+
+        What is ignored stays ignored. Called in the main thread.
+        """
+        for number in ENDINGS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._leave)
+
+    def check(self) -> None:
+        """End the run that asks, where the process is ending."""
+        if self._code is not None:
+            raise SystemExit(self._code)
+
+    def _leave(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        if self._code is None:  # a second signal must not cut short what the first began
+            self._code = FATAL + number
+            self.check()
+
+
+DEPARTURE = Departure()
+
+
 class Termination:
     """Turns signals that would end Python on the spot into SystemExit, between `hold` and `release`.
 
     Handlers that somebody else has installed stay in charge, and what is ignored stays ignored (SIGHUP under `nohup`);
-    outside the main thread nothing can be done.
+    outside the main thread nothing can be done but to `check` whether `DEPARTURE` has taken one.
     """
 
     def __init__(self) -> None:
         self._before: dict[signal.Signals, Any] = {}
 
-    def hold(self) -> None:
-        """From here on an end from outside is an exception."""
+    def hold(self, way_down_s: float) -> None:
+        """From here on an end from outside is an exception; `way_down_s` is how long the actuators need to zero."""
+        DEPARTURE.begins(self, way_down_s)
         if threading.current_thread() is threading.main_thread():
             for number in ENDINGS:
                 if signal.getsignal(number) is signal.SIG_DFL:
                     self._before[number] = signal.signal(number, _leave)
 
+    def check(self) -> None:
+        """Raise SystemExit where this process is being ended, in whichever thread."""
+        DEPARTURE.check()
+
     def release(self) -> None:
         """From here on it is sudden again."""
+        DEPARTURE.ends(self)
         if threading.current_thread() is threading.main_thread():
             while self._before:
                 signal.signal(*self._before.popitem())

@@ -75,8 +75,8 @@ class Records:
         """What defines the bench that these records were made on."""
         return (self._key() or {}).get("bench")
 
-    def take(self) -> dict[str, Record]:
-        """Return the records by their names, measured where they are not there yet.
+    def take(self, stop: Callable[[], bool] | None = None) -> dict[str, Record]:
+        """Return the records by their names, measured where they are not there yet; `stop` as in `experiments.run`.
 
         Raises:
             StorageError: a record is not the one that was measured, and whatever `experiments.run` raises.
@@ -84,6 +84,7 @@ class Records:
         names = [m.name for m in self.listed.measurements]
         missing = self.missing_samples
         how: dict[str, Any] = {"resume": True, "repeat": names, "onlooker": _Told(self.say)}
+        how |= {} if stop is None else {"stop": stop}
         records = experiments.run(self.listed, self._place, self.bench, **how)
         measured = {e["name"]: e["record"] for e in journal.entries(self._place) if e["event"] == "finished"}
         for name, record in records.items():

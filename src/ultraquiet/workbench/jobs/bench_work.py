@@ -34,9 +34,9 @@ def asked_to_stop(folder: Path) -> bool:
 
 
 def measured(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Execute the list of the study on its bench; records that are there stay."""
+    """Execute the list of the study on its bench; records that are there stay, and stop ends it softly."""
     with noted("measure"):
-        records = measure(study_of(state), folder, beside=folder)
+        records = measure(study_of(state), folder, beside=folder, stop=lambda: asked_to_stop(folder))
     return {"records": {name: record.hash for name, record in records.items()}}
 
 

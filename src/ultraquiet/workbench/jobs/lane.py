@@ -21,7 +21,10 @@ from ultraquiet.workbench.engine.items import FOLDER
 
 WORKER = "ultraquiet.workbench.jobs.worker"
 STOP_FILE = "stop"
-SOFT, SOFT_S = ("live",), 2.0
+# Who may move a bench is asked to bring it to rest, and killed when that takes longer than the bench needs. Those of
+# `ASKING` look for the stop file themselves; the others are told by SIGTERM.
+SOFT, ASKING, SOFT_S = ("live", "measure", "close", "run"), ("live", "measure"), 2.0
+POLL_S = 0.02
 _numbers = count(1)
 
 
@@ -44,6 +47,9 @@ class WorkItem:
     started: float = 0.0
     seconds: float = 0.0
     stopping: bool = False
+    ended: bool = False
+    asked: float = 0.0
+    rest_s: float = 0.0
 
     @property
     def over(self) -> bool:
@@ -86,22 +92,22 @@ class Lane:
             if job in self._waiting:
                 self._waiting.remove(job)
                 self._end(job, "cancelled", f"{job.title}: cancelled before it began.")
-            elif job is self._current and job.task in SOFT and not job.stopping:
-                # who moves something is asked to bring it to rest, and killed when that takes too long
-                job.stopping = True
-                (self._folder / FOLDER / STOP_FILE).touch()
-                Timer(SOFT_S, self.cancel, [job]).start()
+            elif job is self._current and job.task in SOFT:
+                self._ask(job)
             elif job is self._current:
-                self._current = None
-                self._end(job, "cancelled", f"{job.title}: cancelled; what was finished before is kept.")
-                self._kill()
-                self._next()
+                self._break_off(job)
         self._told()
 
     def close(self) -> None:
-        """End the process and all work."""
+        """End the process and all work; what moves a bench is brought to rest before."""
         with self._lock:
             self._closed = True
+            job = self._current
+            if job is not None and job.task in SOFT:
+                self._ask(job)
+        while job is not None and job.stopping and not job.over:  # its time is limited by `_lose_patience`
+            time.sleep(POLL_S)
+        with self._lock:
             self._kill()
 
     @property
@@ -109,12 +115,51 @@ class Lane:
         """The process, where one runs."""
         return None if self._process is None else self._process.pid
 
+    def _ask(self, job: WorkItem) -> None:
+        """Ask a job that may move a bench to bring it to rest; asked again, it goes on doing so."""
+        if job.stopping:
+            return
+        job.stopping = True
+        (self._folder / FOLDER / STOP_FILE).touch()
+        self._press(job, ended=job.task not in ASKING)
+
+    def _press(self, job: WorkItem, ended: bool) -> None:
+        """Give a job its time to bring a bench to rest; where `ended`, its process is told to end by itself."""
+        job.asked, job.ended = time.monotonic(), ended
+        if ended and self._process is not None:
+            self._process.terminate()
+        Timer(SOFT_S, self._lose_patience, [job]).start()
+
+    def _lose_patience(self, job: WorkItem) -> None:
+        """End the process of a job that has gone on for longer than its bench needs, and kill it the next time."""
+        with self._lock:
+            if job is not self._current:
+                return
+            left_s = job.asked + SOFT_S + job.rest_s - time.monotonic()
+            if left_s > 0:
+                Timer(left_s, self._lose_patience, [job]).start()
+            elif not job.ended:
+                self._press(job, ended=True)
+            else:
+                self._break_off(job)
+        self._told()
+
+    def _break_off(self, job: WorkItem) -> None:
+        self._current = None
+        self._cancelled(job)
+        self._kill()
+        self._next()
+
+    def _cancelled(self, job: WorkItem) -> None:
+        self._end(job, "cancelled", f"{job.title}: cancelled; what was finished before is kept.")
+
     def _next(self) -> None:
         if self._current is not None or not self._waiting or self._closed:
             return
         job = self._current = self._waiting.popleft()
         job.status, job.started = "running", time.monotonic()
-        (self._folder / FOLDER / STOP_FILE).unlink(missing_ok=True)
+        if job.task in SOFT:  # the other lanes have the same file
+            (self._folder / FOLDER / STOP_FILE).unlink(missing_ok=True)
         request = {"id": job.number, "task": job.task, "state": job.state, "words": job.words}
         process = self._running()
         try:
@@ -136,7 +181,7 @@ class Lane:
         assert process.stdout is not None
         assert process.stdin is not None
         for line in process.stdout:
-            with self._lock:
+            with self._lock, suppress(ValueError):  # half a line, of a process that has ended meanwhile
                 self._heard(json.loads(line))
             self._told()
         code = process.wait()
@@ -147,7 +192,9 @@ class Lane:
             if process is self._process:
                 self._process = None
                 job, self._current = self._current, None
-                if job is not None:
+                if job is not None and job.stopping:
+                    self._cancelled(job)
+                elif job is not None:
                     self._end(job, "failed", f"{job.title}: {_ended(code)}; the study is intact, start it again.")
                 self._next()
         self._told()
@@ -156,20 +203,29 @@ class Lane:
         job = self._current
         if job is None or words["id"] != job.number:
             return
-        if "result" in words:
-            job.result, self._current = words["result"], None
-            self._end(job, "done", "")
-            self._next()
-        elif "failed" in words:
-            self._current = None
-            self._end(job, "failed", words["failed"])
-            self._next()
+        if "result" in words or "failed" in words:
+            self._over(job, words)
+        elif "rest_s" in words:
+            job.rest_s = words["rest_s"]
         elif "live" in words:
             if job.live is not None:
                 raw = np.frombuffer(base64.b64decode(words["live"]["signals"]), "<f4")
                 job.live({**words["live"], "signals": raw.reshape(words["rows"], -1)})
         else:
             job.progress, job.note = words["progress"], words["note"]
+
+    def _over(self, job: WorkItem, words: Mapping[str, Any]) -> None:
+        self._current = None
+        if job.ended:
+            self._process = None  # it ends by itself, and takes no other job
+        if "result" in words:
+            job.result = words["result"]
+            self._end(job, "done", "")
+        elif words["asked"]:
+            self._cancelled(job)
+        else:
+            self._end(job, "failed", words["failed"])
+        self._next()
 
     def _end(self, job: WorkItem, status: str, sentence: str) -> None:
         job.seconds = time.monotonic() - job.started if job.started else 0.0
