@@ -12,14 +12,17 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet.pipeline import packaged_study
+from ultraquiet.pipeline.control import _closed_on
 from ultraquiet.pipeline.facts.loops import StableLoop, ToneFacts, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import finite, from_plain, schema_of, to_plain
+from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.report.loops import _noise_limits, _requirements, _unsettled
-from ultraquiet.pipeline.requirements import in_short, judge, margins_of, unheard_peaks
+from ultraquiet.pipeline.requirements import in_short, judge, margins_of, unheard_peaks, unheard_reductions
 from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import Requirements, StudyError, parse
 from ultraquiet.pipeline.summary import Summary
+from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.values import StateSpace
 
 SUITE = Path(uq.__file__).parent / "pipeline" / "suite.toml"
@@ -128,6 +131,67 @@ def test_a_peak_above_what_was_heard_is_found():
     assert unheard_peaks(plant, law, {"low": heard[0]})["low"] == pytest.approx((whole, at_hz), rel=1e-2)
     assert unheard_peaks(plant, law, {"all": heard[1]})["all"][0] < 0
     assert unheard_peaks(plant, law, {"old": heard[2], "gone": UnstableLoop(status="unstable: So.")}) == {}
+
+
+def quiet_loop(ny, nu):
+    """A plant and a law that does little at low frequencies, of the sizes asked for."""
+    n, rate_hz = min(ny, nu), 1000.0
+    a, b = np.exp(-2 * np.pi * np.array([30.0, 3.0]) / rate_hz)
+    C = np.vstack([np.eye(n), np.full((ny - n, n), 0.5)])
+    plant = StateSpace(a * np.eye(n), (1 - a) * np.eye(n, nu), C, np.zeros((ny, nu)), rate_hz)
+    law = StateSpace(b * np.eye(n), np.eye(n, ny), 5 * (1 - b) * np.eye(nu, n), -5 * np.eye(nu, ny), rate_hz)
+    return plant, law
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+def test_a_band_that_was_not_heard_to_its_ends_counts_by_the_design_model_there(ny, nu):
+    plant, law = quiet_loop(ny, nu)
+    truth, at_hz = uq.analyse.band_attenuation(plant, law, (0.5, 20.0))
+    assert at_hz == 0.5
+    asked, band_hz = Requirements(law="quiet", attenuation_db=10.0), (0.5, 20.0)
+    units = {"bench": dataclasses.replace(loop(13.95), heard_hz=(4.2, 450.0))}
+    faint = unheard_reductions(plant, law, units, band_hz)
+    (sentence,) = judge(asked, band_hz, units, {}, None, None, faint).missed
+    assert f"is {truth:.4g} dB by the design model, at 0.5 Hz, where the bench is not heard; 13.95 dB else" in sentence
+    (sentence,) = judge(asked, band_hz, units, {}).missed
+    assert "is not measured (the bench is heard from 4.2 to 450 Hz), at least 10 dB" in sentence
+    less = Requirements(law="quiet", attenuation_db=2.0)
+    assert judge(less, band_hz, units, {}, None, None, faint).ok, "what is asked holds where it was not heard, too"
+
+
+def test_a_band_is_heard_where_lines_reach_its_ends():
+    heard = dataclasses.replace(loop(), heard_hz=(4.2, 450.0))
+    assert heard.unheard((4.17, 452.0)) == []
+    assert heard.unheard((1.0, 460.0)) == [(1.0, 4.2), (450.0, 460.0)]
+    assert heard.unheard((1.0, 3.0)) == [(1.0, 3.0)]
+    assert heard.unheard((500.0, 600.0)) == [(500.0, 600.0)]
+    assert loop().unheard((1.0, 3.0)) == [], "an older summary does not say what was heard"
+    plant, law = quiet_loop(1, 1)
+    units = {"near": heard, "gone": UnstableLoop(status="unstable: So.")}
+    assert unheard_reductions(plant, law, units, (4.2, 450.0)) == {}
+    assert set(unheard_reductions(plant, law, units, (4.2, 499.99))) == {"near"}
+
+
+def test_a_direction_that_is_louder_where_it_was_not_heard_is_said_to_be():
+    asked, units = Requirements(law="quiet", attenuation_db=10.0), {"bench": loop(13.95)}
+    (sentence,) = judge(asked, BAND_HZ, units, {}, None, None, {"bench": (-2.0, 0.5)}).missed
+    assert "is none, louder by 2.0 dB by the design model, at 0.5 Hz, where the bench is not heard" in sentence
+
+
+@pytest.mark.parametrize(
+    ("ny", "nu", "own", "required"),
+    [(1, 1, (8.0, 20.0), None), (4, 3, (20.0, 40.0), (8.0, 20.0)), (3, 5, (8.0, 20.0), (20.0, 40.0))],
+)
+def test_a_loop_is_closed_down_to_where_its_bands_begin(ny, nu, own, required):
+    """The band of the study, or that of its requirements: whichever begins lower."""
+    plant, law = quiet_loop(ny, nu)
+    bench = uq.bench.LinearBench(plant)
+    found, _ = _closed_on(law, OpenLoop(bench, 2.0), LoopPlan(("bench",), (), 1.0, 2.0, own), required)
+    assert isinstance(found, StableLoop)
+    assert found.unheard((8.0, 20.0)) == []
+    truth, _ = uq.analyse.band_attenuation(plant, law, (8.0, 20.0))
+    db = found.worst_direction_band_db if own[0] == 8.0 else found.required_band_db
+    assert db == pytest.approx(truth, abs=0.1)
 
 
 def test_margins_are_those_of_the_whole_plant():

@@ -282,3 +282,69 @@ def test_hidden_lines_say_what_would_let_them_be_heard(limited, rng):
     assert f"hides {hidden} of {measured.f_hz.size} lines" in measured.unresolved()
     assert ("To hear more, give each channel its low and high" in measured.unresolved()) == (not limited)
     assert f"hides 1 of 1 line, {last:.4g} Hz; it is counted" in measured.unresolved(last, last)
+
+
+def slow_loop(ny, nu, unit):
+    """First-order plants side by side, and a law that quietens above 20 Hz more than below it."""
+    n, rate_hz = min(ny, nu), 1000.0
+    a, b = np.exp(-2 * np.pi * np.array([60.0, 20.0]) / rate_hz)
+    actuators = [uq.Channel(f"u{k}", unit, -10.0, 10.0) for k in range(nu)]
+    sensors = [uq.Channel(f"y{k}", f"{unit}/s", -100.0, 100.0) for k in range(ny)]
+    plant = uq.StateSpace(
+        a * np.eye(n), (1 - a) * np.eye(n, nu), np.eye(ny, n), np.zeros((ny, nu)), rate_hz, actuators, sensors
+    )
+    law = uq.StateSpace(b * np.eye(n), np.eye(n, ny), -5 * (b - 1) * np.eye(nu, n), -5.0 * np.eye(nu, ny), rate_hz)
+    return plant, law
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
+def test_a_band_is_measured_from_where_it_begins(ny, nu, unit):
+    """Runs of 2 s begin at 32 Hz, where this law is quieter than below; those for 4 Hz are longer."""
+    plant, law = slow_loop(ny, nu, unit)
+    opened = OpenLoop(LinearBench(plant), seconds=2.0)
+    begins_hz = opened.bands[0].sweep.low_hz
+    low_hz = begins_hz / 8
+    assert uq.simulate.measure_sensitivity(opened.bench, law, opened=opened).f_hz[0] > begins_hz
+    found = uq.simulate.measure_sensitivity(opened.bench, law, opened=opened, down_to_hz=low_hz)
+    assert found.f_hz[0] <= 1.01 * low_hz
+    assert found.f_hz[0] > 0.6 * low_hz, "no further down than is asked"
+    assert np.diff(np.log(np.unique(found.f_hz))).max() < 0.02
+    truth, at_hz = uq.analyse.band_attenuation(plant, law, (low_hz, 40.0))
+    assert at_hz == low_hz
+    assert found.worst_in_band_db(low_hz, 40.0) == pytest.approx(truth, abs=0.1)
+
+
+def test_where_a_band_was_not_measured_is_said():
+    plant, law = slow_loop(1, 1, "V")
+    bench = LinearBench(plant)
+    found = uq.simulate.measure_sensitivity(bench, law, opened=OpenLoop(bench, seconds=2.0))
+    low_hz = found.f_hz[0]
+    assert found.unresolved(0.5, 200.0).endswith(f"Nothing was measured from 0.5 to {low_hz:.4g} Hz.")
+    assert "Nothing" not in found.unresolved(1.02 * low_hz, 200.0)
+    assert "Nothing" not in found.unresolved()
+
+
+def test_a_bench_that_refuses_longer_runs_is_measured_as_far_down_as_it_goes():
+    plant, law = slow_loop(1, 1, "V")
+    model = LinearBench(plant)
+
+    class Guarded(LinearBench):
+        """Refuses runs beyond 3 s before anything moves, as hardware with an interlock on their duration does."""
+
+        def run(self, actuation, *args, **kwargs):
+            if np.shape(actuation)[1] > 3.0 * self.rate_hz:
+                raise InputError("too long")
+            return super().run(actuation, *args, **kwargs)
+
+    bench = Guarded(plant)
+    opened = OpenLoop(bench, seconds=2.0)
+    found = uq.simulate.measure_sensitivity(bench, law, opened=opened, down_to_hz=1.0)
+    unguarded = uq.simulate.measure_sensitivity(model, law, opened=OpenLoop(model, seconds=2.0), down_to_hz=1.0)
+    assert unguarded.f_hz[0] <= 1.01
+    assert 5.0 < found.f_hz[0] < 20.0
+
+
+def test_a_band_begins_above_zero():
+    plant, law = slow_loop(1, 1, "V")
+    with pytest.raises(InputError, match="'down_to_hz'"):
+        uq.simulate.measure_sensitivity(LinearBench(plant), law, down_to_hz=0.0)

@@ -250,7 +250,8 @@ def _closed_on(
         tones = None
         if settings.tones_hz:
             tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude, settings.duration_s)
-        matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop)
+        low_hz = min(band[0] for band in (settings.band_hz, required_hz) if band is not None)
+        matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop, down_to_hz=low_hz)
         measured = _measured(loop.bench, check, tones, matrix, settings, required_hz)
     except UnheardError as error:
         return UnstableLoop(status=f"not measured: The loop settles. {error}"), (None, None)

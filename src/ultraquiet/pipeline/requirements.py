@@ -44,6 +44,7 @@ def judge(
     disk: Mapping[str, float],
     payload: Mapping[str, PayloadLoop | NoPayload] | None = None,
     silent: Mapping[str, Peak] | None = None,
+    faint: Mapping[str, Peak] | None = None,
 ) -> RequirementsFacts:
     """Return every requirement with its figure and its verdict.
 
@@ -55,10 +56,14 @@ def judge(
         payload: what the law does for the payload of each unit; None where it was not listened to.
         silent: peaks by unit that the design model has where the bench is not heard (`unheard_peaks`); one that is
             above what was heard is what counts of `peak_db`.
+        faint: least reductions by unit that the design model has where the bench is not heard within the band
+            (`unheard_reductions`); one that is below what was heard is what counts of `attenuation_db`. Without it,
+            the reduction over such a band was not measured.
 
     What was not measured, because a loop is unstable or was never closed, is missed.
     """
-    judged = [*_measured(asked, band_hz, units, silent or {}), *_of_payload(asked, band_hz, payload)]
+    beyond = {"peak_db": silent or {}, "attenuation_db": faint or {}}
+    judged = [*_measured(asked, band_hz, units, beyond), *_of_payload(asked, band_hz, payload)]
     if asked.disk_margin is not None:
         for end in ENDS:
             judged.append(_one("disk_margin", end, asked.disk_margin, disk.get(end), band_hz))
@@ -100,8 +105,23 @@ def unheard_peaks(plant: StateSpace, law: StateSpace, units: Units) -> dict[str,
     return found
 
 
+def unheard_reductions(plant: StateSpace, law: StateSpace, units: Units, band_hz: Band) -> dict[str, Peak]:
+    """Return the least reduction in dB that the design model has where a unit was not heard in a band, and its Hz.
+
+    None of a unit that was heard over the whole band, or whose loop is unstable on the bench.
+    """
+    top = inf if plant.rate_hz is None else NEAREST * plant.rate_hz / 2
+    found: dict[str, Peak] = {}
+    for unit, loop in units.items():
+        gaps = loop.unheard(band_hz) if isinstance(loop, StableLoop) else []
+        within = [(low, min(high, top)) for low, high in gaps if low < top]
+        if within:
+            found[unit] = min(analyse.band_attenuation(plant, law, gap) for gap in within)
+    return found
+
+
 def _measured(
-    asked: Requirements, band_hz: Band, units: Units | None, silent: Mapping[str, Peak]
+    asked: Requirements, band_hz: Band, units: Units | None, beyond: Mapping[str, Mapping[str, Peak]]
 ) -> Iterator[RequirementFacts]:
     for name in MEASURED:
         limit = getattr(asked, name)
@@ -110,11 +130,15 @@ def _measured(
         if not units:
             yield _one(name, "any unit", limit, None, band_hz)
         for unit, loop in (units or {}).items():
-            stable = isinstance(loop, StableLoop)
-            figure = _figure(name, loop) if stable else None
-            beyond = silent.get(unit) if name == "peak_db" and figure is not None else None
-            source = _unsettled(loop) if name == "tones_db" and isinstance(loop, StableLoop) else ""
-            yield _one(name, unit, limit, figure, band_hz, loop.status, beyond, source)
+            if not isinstance(loop, StableLoop):
+                yield _one(name, unit, limit, None, band_hz, loop.status)
+                continue
+            silent = beyond.get(name, {}).get(unit)
+            if name == "attenuation_db" and silent is None and loop.unheard(band_hz):
+                yield _one(name, unit, limit, None, band_hz, _heard(loop))
+                continue
+            source = _unsettled(loop) if name == "tones_db" else ""
+            yield _one(name, unit, limit, _figure(name, loop), band_hz, loop.status, silent, source)
 
 
 def _of_payload(
@@ -145,6 +169,11 @@ def _figure(name: str, loop: StableLoop) -> float:
     return min(tone.reduction_db for tone in loop.tones.values())
 
 
+def _heard(loop: StableLoop) -> str:
+    low, high = loop.heard_hz or (0.0, inf)
+    return f"the bench is heard from {low:.4g} to {high:.4g} Hz"
+
+
 def _unsettled(loop: StableLoop) -> str:
     """Return what to say behind the figure of the worst tone where that tone's amplitude was still changing."""
     hz, tone = min(loop.tones.items(), key=lambda each: each[1].reduction_db)
@@ -162,7 +191,7 @@ def _one(
     source: str = "",
 ) -> RequirementFacts:
     unit, more = MEASURED.get(name, (" dB" if name == PAYLOAD else "", True))
-    if figure is not None and beyond is not None and beyond[0] > figure:
+    if figure is not None and beyond is not None and (beyond[0] < figure if more else beyond[0] > figure):
         source = (
             f" by the design model, at {beyond[1]:.4g} Hz, where the bench is not heard; {figure:.4g}{unit} elsewhere"
         )
@@ -173,7 +202,7 @@ def _one(
     at = "" if name == "disk_margin" else f" on {where}"
     found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}{source}"
     if figure is not None and more and unit and figure < 0:
-        found = f"none, {loudness(figure)}"
+        found = f"none, {loudness(figure)}{source}"
     bound = "at least" if more else "at most"
     sentence = f"{what}{at} is {found}, {bound} {asked:g}{unit} is asked: {'met' if met else 'missed'}."
     return RequirementFacts(requirement=name, where=where, asked=asked, figure=figure, met=met, sentence=sentence)

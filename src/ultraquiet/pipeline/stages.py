@@ -233,7 +233,11 @@ class Stages(ModelStages):
         band_hz = asked.band_hz or plan.band_hz
         units, heard = None if loop is None else loop.facts.units, payload.get(asked.law)
         silent = {} if law is None or asked.peak_db is None else requirements.unheard_peaks(plant, law, units or {})
-        return requirements.judge(asked, band_hz, units, disk, None if heard is None else heard.facts.units, silent)
+        faint: dict[str, requirements.Peak] = {}
+        if law is not None and asked.attenuation_db is not None:
+            faint = requirements.unheard_reductions(plant, law, units or {}, band_hz)
+        payloads = None if heard is None else heard.facts.units
+        return requirements.judge(asked, band_hz, units, disk, payloads, silent, faint)
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]

@@ -76,7 +76,7 @@ def campaign(benches: Iterable[Bench], controller: StateSpace | Controller, band
 def _measured(bench: Bench, controller: StateSpace | Controller, band_hz: tuple[float, float]) -> dict[str, float]:
     if not check_stability(bench, controller).status.ok:
         return {**UNSTABLE, BROADBAND: -np.inf}
-    sensitivity = measure_sensitivity(bench, controller)
+    sensitivity = measure_sensitivity(bench, controller, down_to_hz=band_hz[0] or None)
     return {
         PEAK: sensitivity.peak_amplification_db(),
         ATTENUATION: sensitivity.worst_in_band_db(*band_hz),

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ FINER, FINER_FAST, MOST_LINES, WAITED = 4, 4, 1 << 17, 4
 # long as more silence leaves less than this of it; simulated ones up to so many samples.
 OPEN, OPEN_LINES, LESS, LONGEST = 0.02, 4, 0.98, 1 << 20
 OVERLAP = 1.1  # of the bands, where each fades
+EDGE = 1.05  # where a sweep fades in and out
 BELOW = 0.7  # where a band below begins, over where the one above does
 FEWEST_PERIODS = 20.0  # of its lowest line in a run: fewer, and the short runs do not tell the lines of a band apart
 PER_DECADE = 60  # frequencies at which directions and levels are held
@@ -308,6 +310,7 @@ class OpenLoop:
 
     bench: Bench
     seconds: float | None = None
+    _below: dict[tuple[float, int], OpenBand] = field(default_factory=dict[Any, Any], init=False, repr=False)
 
     @cached_property
     def bands(self) -> tuple[OpenBand, OpenBand]:
@@ -323,23 +326,23 @@ class OpenLoop:
         fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
         return OpenBand(self.bench, slow).as_fine_as_it_rings(), OpenBand(self.bench, fast).as_fine_as_it_rings()
 
-    def downwards(self) -> Iterator[OpenBand]:
-        """Bands below, one after the other, runs as long for few frequencies: for loops that amplify most down there.
+    def downwards(self, to_hz: float | None = None) -> Iterator[OpenBand]:
+        """Bands below, one after the other: runs for few frequencies, for loops that amplify most down there.
 
-        Each is measured when it is come to, which few loops ask for; they end where a run is too short.
+        They end where a run is too short; runs that lines at `to_hz` need are longer, up to those of other benches.
         """
-        band = self.bands[0]
-        while BELOW * band.sweep.low_hz * self.bands[0].sweep.samples >= FEWEST_PERIODS * band.sweep.rate_hz:
-            low_hz = band.sweep.low_hz
-            if low_hz not in self._below:
-                clock = replace(self.bands[0].sweep, low_hz=BELOW * low_hz, high_hz=OVERLAP * low_hz)
-                self._below[low_hz] = OpenBand(self.bench, clock).as_fine_as_it_rings()
-            band = self._below[low_hz]
-            yield band
-
-    @cached_property
-    def _below(self) -> dict[float, OpenBand]:
-        return {}
+        band, sweep = self.bands[0], self.bands[0].sweep
+        while True:
+            low_hz, samples = band.sweep.low_hz, sweep.samples
+            fewest = FEWEST_PERIODS * band.sweep.rate_hz / (BELOW * low_hz)
+            while to_hz is not None and to_hz < EDGE * low_hz and samples < fewest and 2 * samples <= MOST:
+                samples *= 2
+            if samples < fewest:
+                return
+            key, limits = (low_hz, samples), {"low_hz": BELOW * low_hz, "high_hz": OVERLAP * low_hz}
+            if key not in self._below:
+                self._below[key] = OpenBand(self.bench, replace(sweep, samples=samples, **limits)).as_fine_as_it_rings()
+            yield (band := self._below[key])
 
     def apart(self) -> "OpenLoop":
         """Return this open loop, measured, on a copy of its bench as it stands then.

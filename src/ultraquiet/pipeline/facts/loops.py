@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.pipeline.facts.typed import Vector, fact
+from ultraquiet.simulate.sensitivity.measured import is_heard_from
 from ultraquiet.values.status import StatusWord
 
 ONLY = "bench"  # the name of the one unit of a bench that knows no units
@@ -167,6 +168,14 @@ class StableLoop:
     lines_missing: int = 0
     lines_hidden: str | None = None
     heard_hz: tuple[float, float] | None = None
+
+    def unheard(self, band_hz: tuple[float, float]) -> list[tuple[float, float]]:
+        """Return the parts of a band in which there are no lines, nothing where what was heard is not known."""
+        if self.heard_hz is None:
+            return []
+        (low, high), (first, last) = band_hz, self.heard_hz
+        below = [] if is_heard_from(first, low) else [(low, min(first, high))]
+        return below + ([] if is_heard_from(high, last) else [(max(last, low), high)])
 
 
 def of_the_bench(unit: str) -> str:

@@ -60,6 +60,9 @@ def _headline(result: StudyResult, name: str) -> str:
     worst = min(_band_db(loop) for loop in loops.values() if isinstance(loop, StableLoop))
     asked = result.requirements
     low, high = result.plan.band_hz if asked is None or asked.law != name else asked.band_hz
+    for loop in loops.values():  # what is said of every direction holds where the bench was heard
+        if isinstance(loop, StableLoop) and loop.heard_hz is not None and loop.unheard((low, high)):
+            low, high = max(low, loop.heard_hz[0]), min(high, loop.heard_hz[1])
     if worst > 0:
         return f"Quieter by {worst:.1f} dB in every direction, {low:.4g}-{high:.4g} Hz"
     return f"Not quieter in every direction: the worst is {loudness(worst)}, {low:.4g}-{high:.4g} Hz"

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, positive
 from ultraquiet._base.errors import InputError, UnheardError
 from ultraquiet._base.progress import task
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.kick import ranges
 from ultraquiet.simulate.open_loop import LOUD, OpenLoop
-from ultraquiet.simulate.sensitivity.measured import MeasuredSensitivity, size_of
-from ultraquiet.simulate.sensitivity.pair import BandLines, LoopPair
+from ultraquiet.simulate.sensitivity.measured import MeasuredSensitivity, is_heard_from, size_of
+from ultraquiet.simulate.sensitivity.pair import HIDDEN, BandLines, LoopPair
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -30,6 +30,7 @@ def measure_sensitivity(
     f_hz: ArrayLike | None = None,
     *,
     opened: OpenLoop | None = None,
+    down_to_hz: float | None = None,
 ) -> MeasuredSensitivity:
     """Measure S on the bench with swept disturbances in its own directions, open and closed loop.
 
@@ -50,16 +51,21 @@ def measure_sensitivity(
         f_hz: lines in Hz that are asked for, moved to the nearest of a run; chosen from S itself when absent, over the
             whole range of the sweep, and further down where S still rises there and a run is long enough.
         opened: the open loop of the same bench, measured before; its runs are made once for all laws.
+        down_to_hz: where a band begins that something is asked over: without `f_hz`, it is measured down to there as
+            long as the open loop is heard, with longer runs where these are too short.
 
     Returns:
         `MeasuredSensitivity`, every line asked for in it.
 
     Raises:
-        InputError: lines beyond the Nyquist frequency, an open loop of another bench.
+        InputError: lines beyond the Nyquist frequency, an open loop of another bench, a band that begins at no
+            frequency above zero.
     """
     opened = OpenLoop(bench) if opened is None else opened
     if opened.bench is not bench and opened.bench != bench:
         raise InputError("measure_sensitivity: 'opened' is the open loop of another bench.")
+    if down_to_hz is not None:
+        positive("measure_sensitivity", "down_to_hz", down_to_hz, "Hz")
     pairs = [LoopPair(band, controller) for band in opened.bands]
     asked = [None] * len(pairs) if f_hz is None else _asked(opened, f_hz)
     with task("sensitivity on the bench", len(pairs)) as progress:
@@ -67,15 +73,30 @@ def measure_sensitivity(
         for pair, lines in zip(pairs, asked, strict=True):
             parts.append(pair.at(lines))
             progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
-        lower = opened.downwards()
-        while f_hz is None and parts[0].f_hz.size and may_peak_below(*_all_lines(parts)):
-            if (below := next(lower, None)) is None:
-                break
-            parts.insert(0, LoopPair(below, controller).at(None, most_hidden=0.0))
+        if f_hz is None:
+            parts = [*_lower(opened, controller, parts, down_to_hz), *parts]
     found = _joined(opened, parts)
     if f_hz is not None:
         return found
     return replace(found, below=_rises_below(found), unheard=_unheard(found, opened))
+
+
+def _lower(
+    opened: OpenLoop, controller: StateSpace | Controller, parts: list[BandLines], down_to_hz: float | None
+) -> list[BandLines]:
+    """Return the bands below that a loop asks for, or a band that begins down there, from the lowest up."""
+    lower, bands = opened.downwards(down_to_hz), list[BandLines]()
+    while (lines := [*bands, *parts])[0].f_hz.size:
+        rises = may_peak_below(*_all_lines(lines))
+        if not rises and (down_to_hz is None or is_heard_from(float(lines[0].f_hz[0]), down_to_hz)):
+            break
+        try:
+            if (below := next(lower, None)) is None:
+                break
+            bands.insert(0, LoopPair(below, controller).at(None, most_hidden=0.0 if rises else HIDDEN))
+        except InputError:  # a bench that refuses runs of that length is heard no further down
+            break
+    return bands
 
 
 def _asked(opened: OpenLoop, f_hz: ArrayLike) -> list[np.ndarray]:

@@ -15,6 +15,7 @@ from ultraquiet.values import FrequencyResponse
 # A line is resolved when noise moves its largest singular value by less than this share: 0.4 dB. One that is not is
 # counted with so many deviations of the noise on top.
 RESOLVED, DEVIATIONS = 0.05, 2.0
+NEAR = 1.01  # a band whose end is that near to a line is heard up to there
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,10 @@ class MeasuredSensitivity:
         return np.where(self.hidden, self.bound_db, self.worst_direction_db())
 
     def worst_in_band_db(self, low_hz: float, high_hz: float) -> float:
-        """Smallest worst-direction reduction over a band, in dB, hidden lines counted at their bound."""
+        """Smallest worst-direction reduction at the lines of a band, in dB, hidden ones counted at their bound.
+
+        Nothing is known where a band reaches beyond the lines: `unresolved` says so.
+        """
         return float(self.counted_db()[self._band(low_hz, high_hz)].min())
 
     def peak_amplification_db(self) -> float:
@@ -105,7 +109,7 @@ class MeasuredSensitivity:
         return float(10 * np.log10(np.min(power[0] / power[1])))
 
     def unresolved(self, low_hz: float = 0.0, high_hz: float = np.inf) -> str:
-        """Return a sentence on the lines of a band that noise hides, in numbers, and `below` where the band begins."""
+        """Return a sentence on the lines of a band that noise hides, in numbers, and on where it was not measured."""
         band = self._band(low_hz, high_hz)
         hidden, f = band & self.hidden, self.f_hz
         said = f"All {band.sum()} lines were resolved." if band.sum() > 1 else "The line was resolved."
@@ -118,7 +122,10 @@ class MeasuredSensitivity:
                 f"this leaves.{f' To hear more, {self.louder}.' if self.louder else ''}"
             )
         outside = self.unheard if low_hz < f[0] or high_hz > f[-1] else ""
-        return " ".join(filter(None, (said, self.below if low_hz < f[0] else "", outside)))
+        below = self.below if low_hz < f[0] else ""
+        if not below and not outside and low_hz > 0 and not is_heard_from(f[0], low_hz):
+            below = f"Nothing was measured from {low_hz:.4g} to {f[0]:.4g} Hz."
+        return " ".join(filter(None, (said, below, outside)))
 
     @cached_property
     def _size(self) -> FloatArray:
@@ -129,6 +136,11 @@ class MeasuredSensitivity:
         if not band.any():
             raise UnheardError(f"MeasuredSensitivity: no line lies between {low_hz:g} and {high_hz:g} Hz.")
         return band
+
+
+def is_heard_from(lowest_hz: float, low_hz: float) -> bool:
+    """Return whether lines from `lowest_hz` on are those of a band that begins at `low_hz`."""
+    return lowest_hz <= NEAR * low_hz
 
 
 def size_of(S: ComplexArray) -> FloatArray:

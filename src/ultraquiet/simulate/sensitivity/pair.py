@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.open_loop import LOWER, OpenBand
+from ultraquiet.simulate.open_loop import EDGE, LOWER, OpenBand
 from ultraquiet.simulate.sensitivity.measured import DEVIATIONS, RESOLVED, size_of
 from ultraquiet.simulate.sensitivity.neighbours import LinesOfS, together
 from ultraquiet.simulate.sensitivity.one_pass import ROUNDING, LeftOpen, OnePass
@@ -22,7 +22,6 @@ SURE = 4.0  # deviations above its neighbours, for one of many lines to be a nee
 APART, STEP_DB = 0.003, 0.5
 # Lines are chosen where the open loop by itself would leave an S of size one this much open.
 HEARD = 0.02
-EDGE = 1.05  # where a sweep fades in and out
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
 
