@@ -202,3 +202,77 @@ def test_a_law_is_looked_at_beside_its_limit(session):
     assert found["attenuation_db"] == pytest.approx(law.facts["attenuation_db"], abs=0.1)
     assert found["limit_db"] > found["attenuation_db"]
     assert f"{found['limit_db']:.1f} dB" in str(found["words"])
+
+
+OWN = '# my own study, three evenings of work\n[study]\ntitle = "Two masses"\n[bench]\nobject = "two_masses.py:make"\n'
+
+
+def kept_in(folder: Path) -> dict[str, str]:
+    """What was given another name, by it."""
+    return {path.name: path.read_text() for path in folder.glob("study.edited*")}
+
+
+def test_a_study_that_a_hand_has_written_is_kept(tmp_path):
+    (tmp_path / "study.toml").write_text(OWN)
+    (tmp_path / "study.py").write_text("mine = 1\n")
+    made = Session(tmp_path)
+    assert (tmp_path / "study.toml").read_text() == OWN
+    made.do({"op": "title", "title": "x"})
+    assert kept_in(tmp_path) == {"study.edited.toml": OWN, "study.edited.py": "mine = 1\n"}
+    assert tomllib.loads((tmp_path / "study.toml").read_text())["study"]["title"] == "x"
+    made.do({"op": "title", "title": "y"})
+    made.undo()
+    Session(tmp_path).do({"op": "title", "title": "z"})
+    assert len(kept_in(tmp_path)) == 2, "what the workbench wrote itself is written over"
+
+
+def test_what_was_edited_between_two_steps_is_kept_each_time(session):
+    path = session.folder / "study.toml"
+    for number, name in ((1, "study.edited.toml"), (2, "study.edited-2.toml")):
+        path.write_text(path.read_text() + f"# note {number}\n")
+        session.do({"op": "title", "title": f"title {number}"})
+        assert kept_in(session.folder)[name].endswith(f"# note {number}\n")
+        assert "# note" not in path.read_text()
+
+
+def test_a_study_of_a_folder_without_notes_is_the_workbenchs_own_where_its_steps_lead_to_it(session):
+    (session.folder / "workbench" / "written.json").unlink()
+    again = Session(session.folder)
+    again.do({"op": "title", "title": "x"})
+    assert not kept_in(session.folder)
+    (session.folder / "workbench" / "written.json").write_text("{ torn")
+    Session(session.folder).undo()
+    assert not kept_in(session.folder)
+
+
+def test_a_study_that_is_only_opened_stays_as_it_is(session, tmp_path):
+    session.do({**IDENTIFY, "method": METHOD})
+    session.do({"op": "design", "name": "quiet", "model": "arx4", "method": {"method": "lqg"}, "reduce": None})
+    study = parse(session.toml())
+    ran = tmp_path / "ran"
+    ran.mkdir()
+    (ran / "study.json").write_text(study.model_dump_json())
+    (ran / "study.toml").write_text(OWN)
+    (ran / "records").mkdir()
+    files.save(session.make("data", "fit").value(), ran / "records" / "fit.h5")
+    opened = Session(ran)
+    assert list(opened.state["laws"]) == ["quiet"]
+    assert (ran / "study.toml").read_text() == OWN
+    assert not kept_in(ran)
+    assert Session(ran).state == opened.state
+    assert (ran / "study.toml").read_text() == OWN
+    opened.do({"op": "title", "title": "x"})
+    assert kept_in(ran) == {"study.edited.toml": OWN}
+
+
+def test_a_record_of_somebody_is_not_written_over(session):
+    (session.folder / "data").mkdir(exist_ok=True)
+    (session.folder / "data" / "fit.h5").write_bytes(b"mine")
+    session.do({**IDENTIFY, "method": METHOD})
+    session.make("data", "fit")
+    assert (session.folder / "data" / "fit.edited.h5").read_bytes() == b"mine"
+    digest = session.item("data", "fit").facts["hash"]
+    assert files.load(session.folder / "data" / "fit.h5").hash == digest
+    (session.folder / "data" / "fit.sha256").unlink()
+    session.do({"op": "title", "title": "x"})
+    assert not (session.folder / "data" / "fit.edited-2.h5").exists(), "it is the same record"

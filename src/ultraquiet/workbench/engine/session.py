@@ -14,9 +14,10 @@ from ultraquiet.workbench.engine.items import FACTS, FOLDER, LATEST, Item, chang
 from ultraquiet.workbench.engine.making import work
 from ultraquiet.workbench.engine.steps import BOARDS, State, Step, applied, empty
 from ultraquiet.workbench.engine.written import study_text
+from ultraquiet.workbench.engine.written.own_files import OwnFiles
 from ultraquiet.workbench.engine.written.script import script
 
-LOG = "log.json"
+LOG, WRITTEN = "log.json", "written.json"
 STUDY, SCRIPT = "study.toml", "study.py"
 
 
@@ -44,7 +45,11 @@ class Session:
         self._steps, self._cursor = self._read()
         self.version = 0
         self._state = self._replayed()
-        if not self._steps:
+        self._adopting = False
+        self._own = OwnFiles(self.folder, self.folder / FOLDER / WRITTEN)
+        if self._steps:
+            self._own.recognise(self._texts())
+        else:
             self._adopt()
 
     @property
@@ -163,9 +168,17 @@ class Session:
             watcher()
 
     def _publish(self) -> None:
-        """Leave study and script in the folder; a study that lacks a model or a law is no study yet."""
-        write_bytes(self.folder / SCRIPT, self.python().encode())
+        """Leave study and script in the folder; a study that lacks a model or a law is no study yet.
+
+        What a hand has written there is kept under another name; a study that is only taken over stays as it is.
+        """
+        if self._adopting:
+            return
+        self._own.write(self._texts())
         study_text.publish(self.folder, self._state)
+
+    def _texts(self) -> dict[str, str]:
+        return {SCRIPT: self.python(), STUDY: self.toml()}
 
     def _replayed(self) -> State:
         state = empty(self.folder.name)
@@ -186,8 +199,12 @@ class Session:
             ) from error
 
     def _adopt(self) -> None:
+        self._adopting = True
         for step in adopt.steps_of(self.folder):
             self.do(step)
+        self._adopting = False
+        if self._steps and not any(self._own.is_foreign(*each) for each in self._texts().items()):
+            self._publish()
 
     def _latest(self) -> dict[str, str]:
         try:

@@ -2,17 +2,20 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from ultraquiet import files
+from ultraquiet._base.errors import UltraquietError
 from ultraquiet.pipeline.facts.typed import finite
 from ultraquiet.workbench.engine.items import item_of, order
 from ultraquiet.workbench.engine.making.laws import design_table
 from ultraquiet.workbench.engine.making.models import plant_table
 from ultraquiet.workbench.engine.steps import State
+from ultraquiet.workbench.engine.written.own_files import renamed
 
-STUDY, DATA = "study.toml", "data"
+DATA = "data"
 # Tables of a study that are kept as they are.
 PLAIN = ("identify", "paper", "validate", "closed_loop", "limits", "deploy")
 
@@ -69,12 +72,11 @@ def toml(state: State) -> str:
 
 
 def publish(folder: Path, state: State) -> None:
-    """Write the study file and the records that it names, where they are there.
+    """Write the records that the study file names, where they are there.
 
     Raises:
         StorageError: the disk refuses.
     """
-    files.write_bytes(folder / STUDY, toml(state).encode())
     if "experiment" in state["tables"] or not state["model"]:
         return
     (folder / DATA).mkdir(exist_ok=True)
@@ -88,8 +90,17 @@ def _copied(digest: Any, item: Any, target: Path) -> None:
     note = target.with_suffix(".sha256")
     if target.exists() and note.exists() and note.read_text(encoding="utf-8") == digest:
         return
+    if target.exists() and not note.exists() and not _holds(target, digest):
+        renamed(target)  # nobody here wrote it
     files.save(item.value(), target)
     files.write_bytes(note, str(digest).encode())
+
+
+def _holds(target: Path, digest: Any) -> bool:
+    """Tell whether a file holds the record with a hash."""
+    with suppress(UltraquietError, AttributeError):
+        return files.load(target).hash == digest
+    return False
 
 
 def _tables(place: tuple[str, ...], table: Mapping[str, Any]) -> str:

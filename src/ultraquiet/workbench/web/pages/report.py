@@ -11,6 +11,7 @@ from ultraquiet.pipeline import Study, reload_study
 from ultraquiet.workbench.engine.items import FACTS, Item
 from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.engine.steps import BOARDS
+from ultraquiet.workbench.engine.written.own_files import EDITED
 from ultraquiet.workbench.engine.written.study_text import content
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.controls import Doubted, button, chip, heading, loop_status, say, table, words
@@ -41,6 +42,7 @@ class _Report:
             ui.label("ultraquiet run study.toml --out .").classes("uq-lines")
             ui.link("study.toml", "/study/study.toml").props('data-testid="get-toml"')
             ui.link("study.py", "/study/study.py").props('data-testid="get-python"')
+            self._kept = words("", "caption").props('data-testid="kept"')
         with columns.main:
             self._place = ui.element("div").classes("uq-figures")
         view.watch(self._show)
@@ -54,6 +56,8 @@ class _Report:
 
     def _show(self) -> None:
         folder = self.view.session.folder
+        kept = sorted(path.name for path in folder.glob(f"study.{EDITED}*"))
+        self._kept.text = f"Written by hand, and kept under another name: {', '.join(kept)}." if kept else ""
         self._place.clear()
         with self._place:
             summary = folder / "summary.json"
