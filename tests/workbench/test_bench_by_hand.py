@@ -10,7 +10,7 @@ import pytest
 
 from ultraquiet.experiments import StoppedError
 from ultraquiet.pipeline.identification import of_unit
-from ultraquiet.pipeline.study import parse
+from ultraquiet.pipeline.study import Study, load_study, packaged_study, parse
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.items import FOLDER
 from ultraquiet.workbench.jobs import bench_work, lane
@@ -99,6 +99,34 @@ def test_the_demo_is_a_study_by_hand(tmp_path):
     assert study.bench.method == "hexapod"
     assert study.experiment.list == "suite"
     assert made.state["title"].startswith("SUITE")
+    made.do({"op": "measure", "name": "noise-1", "file": "records/noise-1.h5"})
+    method = {"method": "subspace", "order": 4}
+    made.do({"op": "identify", "name": "p", "records": ["noise-1"], "period_samples": None, "method": method})
+    made.do({"op": "design", "name": "quiet", "model": "p", "method": {"method": "lqg"}, "reduce": None})
+    written_down, packaged = load_study(made.folder / "study.toml"), packaged_study("suite")
+    for table in ("bench", "experiment", "identify", "paper", "closed_loop", "limits", "payload", "validate_models"):
+        assert getattr(written_down, table) == getattr(packaged, table), table
+
+
+def test_a_study_that_ran_keeps_every_table_on_the_boards(tmp_path):
+    """Whatever a study file may hold, but for the records that it names: those are the boards' own."""
+    packaged = packaged_study("suite")
+    law = next(iter(packaged.controllers))
+    more = {"commission": {"law": law, "gains": [0.2, 1.0]}, "campaign": {"law": law, "benches": 3}}
+    content = packaged.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    content["deploy"] = {"precision": "float64"}
+    study = Study.model_validate({**content, **more})
+    (tmp_path / "records").mkdir()
+    for name in study.plant.records:
+        for number in (1, 2):
+            (tmp_path / "records" / f"{name}-{number}.h5").touch()
+    (tmp_path / "study.json").write_text(study.model_dump_json())
+    opened = Session(tmp_path)
+    again = parse(opened.toml())
+    told = {name for name, value in study if name not in ("records", "blending")}
+    assert {name for name in told if getattr(study, name) == type(study).model_fields[name].default} == set()
+    for name in told:
+        assert getattr(again, name) == getattr(study, name), name
 
 
 HARDWARE = """

@@ -276,3 +276,28 @@ def test_a_record_of_somebody_is_not_written_over(session):
     (session.folder / "data" / "fit.sha256").unlink()
     session.do({"op": "title", "title": "x"})
     assert not (session.folder / "data" / "fit.edited-2.h5").exists(), "it is the same record"
+
+
+TABLES = {
+    "a list of tables": {"claims": [{"where": "p. 1", "ours": {"a b": "x/y"}}, {"where": "p. 2"}, {}]},
+    "tables in a list of tables": {"a": [{"b": [{"c": 1}, {"c": 2}]}, {"b": [{"c": 3}]}]},
+    "a table beside numbers": {"mixed": [1, {"a": [{"b": 2}], "c d": True}], "rows": [[1.0, 2.0], [3.0, 4.0]]},
+    "odd strings": {"quoted": 'a "b" \\ c', "breaks": "a\nb\tc", "control": "\x00\x1f\x7f", "far": "\U0001f600 ä"},
+    "odd keys": {"": 1, "a.b": 2, "ä\U0001f600": 3, 'q"': {"x\x7f": 4}, "0": {"-": []}},
+    "numbers": {"small": 1e-300, "large": 10**15, "minus": -0.5, "infinite": float("inf"), "no": False},
+    "nothing in it": {"empty": {}, "list": [], "in": {"deep": {}}},
+}
+
+
+@pytest.mark.parametrize("words", TABLES)
+def test_whatever_a_table_holds_is_read_back_from_the_study_as_it_was(session, words):
+    session.do({"op": "table", "table": "paper", "values": TABLES[words]})
+    assert tomllib.loads((session.folder / "study.toml").read_text())["paper"] == TABLES[words]
+
+
+def test_what_no_study_file_can_say_is_refused_before_it_is_a_step(session):
+    before = len(session.steps)
+    with pytest.raises(InputError, match="no study file"):
+        session.do({"op": "table", "table": "paper", "values": {"orders": [1, None]}})
+    assert len(session.steps) == before
+    assert "paper" not in session.state["tables"]

@@ -80,7 +80,9 @@ class Session:
             StorageError: it could not be kept; nothing has changed.
         """
         with self._lock:
-            self._change([*self._steps[: self._cursor], dict(step)], self._cursor + 1, applied(self._state, step))
+            after = applied(self._state, step)
+            study_text.toml(after)  # what no study file can say is refused before it is in the log
+            self._change([*self._steps[: self._cursor], dict(step)], self._cursor + 1, after)
 
     def undo(self) -> None:
         """Take the last step back; the values it led to stay for a redo."""

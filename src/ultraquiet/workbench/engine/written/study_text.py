@@ -1,13 +1,14 @@
 """The boards as a study file that `ultraquiet run` takes up, and the records it names."""
 
 import json
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from ultraquiet import files
-from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet.pipeline.facts.typed import finite
 from ultraquiet.workbench.engine.items import item_of, order
 from ultraquiet.workbench.engine.making.laws import design_table
@@ -50,14 +51,19 @@ def _on_a_bench(tables: Mapping[str, Any], laws: Mapping[str, Any]) -> dict[str,
     if "bench" not in tables:
         return {}
     kept = {"payload": tables["payload"]} if "payload" in tables else {}
-    campaign = tables.get("campaign")
-    if campaign is not None and campaign.get("law", next(iter(laws), None)) in laws:
-        kept["campaign"] = campaign
+    for name in ("campaign", "commission"):
+        table = tables.get(name)
+        if table is not None and table.get("law", next(iter(laws), None)) in laws:
+            kept[name] = table
     return kept
 
 
 def toml(state: State) -> str:
-    """Return the study file, with how its records came about."""
+    """Return the study file, with how its records came about.
+
+    Raises:
+        InputError: a table of the boards holds what no study file can say.
+    """
     lines = ["# Made by hand on the workbench; run it with:  ultraquiet run study.toml --out .", ""]
     model = state["model"]
     used = order(state, "models", model) if model else [("data", name) for name in state["data"]]
@@ -68,7 +74,12 @@ def toml(state: State) -> str:
     missing = [what for what, there in (("a model", model), ("a law", state["laws"])) if not there]
     if missing:
         lines.append(f"# Not a whole study yet: it lacks {' and '.join(missing)}.")
-    return "\n".join(lines) + "\n" + _tables((), content(state))
+    text = "\n".join(lines) + "\n" + _tables((), content(state))
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"workbench: no study file (TOML) can say what stands on the boards ({error}).") from error
+    return text
 
 
 def publish(folder: Path, state: State) -> None:
@@ -103,22 +114,39 @@ def _holds(target: Path, digest: Any) -> bool:
     return False
 
 
-def _tables(place: tuple[str, ...], table: Mapping[str, Any]) -> str:
-    """Return a table as TOML: its values, then its tables."""
-    values = {key: value for key, value in table.items() if not isinstance(value, Mapping) and value is not None}
-    inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    head = f"\n[{'.'.join(map(_key, place))}]\n" if place and (values or not inner) else ""
+def _tables(place: tuple[str, ...], table: Mapping[str, Any], one_of_many: bool = False) -> str:
+    """Return a table as TOML: its values, then its tables and lists of tables."""
+    inner = {key: value for key, value in table.items() if isinstance(value, Mapping) or _are_tables(value)}
+    values = {key: value for key, value in table.items() if key not in inner and value is not None}
+    name = ".".join(map(_key, place))
+    head = f"\n[{name}]\n" if place and (values or not inner) else ""
     body = "".join(f"{_key(key)} = {_value(value)}\n" for key, value in values.items())
-    return head + body + "".join(_tables((*place, key), value) for key, value in inner.items())
+    text = (f"\n[[{name}]]\n" if one_of_many else head) + body
+    for key, value in inner.items():
+        each = [(value, False)] if isinstance(value, Mapping) else [(one, True) for one in value]
+        text += "".join(_tables((*place, key), one, many) for one, many in each)
+    return text
+
+
+def _are_tables(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(each, Mapping) for each in value)
 
 
 def _key(key: str) -> str:
-    return key if key.replace("-", "").replace("_", "").isalnum() and key.isascii() else json.dumps(key)
+    return key if key.replace("-", "").replace("_", "").isalnum() and key.isascii() else _text(key)
 
 
 def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        kept = {str(key): each for key, each in value.items() if each is not None}
+        return f"{{{', '.join(f'{_key(key)} = {_value(each)}' for key, each in kept.items())}}}"
     if isinstance(value, float):
         return repr(value)
-    return json.dumps(finite(value), ensure_ascii=False)
+    return _text(value) if isinstance(value, str) else json.dumps(finite(value))
+
+
+def _text(text: str) -> str:
+    """Return a string of TOML, whose escapes are those of JSON but for one character that JSON takes as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
