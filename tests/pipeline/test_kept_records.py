@@ -9,11 +9,12 @@ import pytest
 from small_study import TwoMasses
 
 import ultraquiet as uq
-from ultraquiet import experiments
+from ultraquiet import experiments, pipeline
 from ultraquiet._base.provenance import content_hash
 from ultraquiet.bench import Process, Wrapped
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.store.recorded import Records, finished_names
+from ultraquiet.pipeline.walk import bench_key_of, bench_of, bench_table, described, measure, with_read_matrices
 
 LIST = """
 [[commands]]
@@ -224,3 +225,112 @@ def test_a_file_that_the_study_names_counts_by_its_content(tmp_path):
     assert relative == absolute
     (tmp_path / "mine.py").write_text("a = 2")
     assert identity(bench, table, tmp_path) != relative
+
+
+MIXED = """
+import numpy as np
+import ultraquiet as uq
+
+def make(ny, nu):
+    G, held = np.fromfunction(lambda i, j: (1.0 + i) * (1.0 + j * j), (ny, nu)), np.zeros(ny)
+
+    def step(u, d):
+        y = held.copy()
+        held[:] = 0.5 * held + G @ (u + d)
+        return y
+
+    forces = [uq.Channel(f"force {k}", "N", -20.0, 20.0) for k in range(nu)]
+    return uq.bench.Wrapped(step, lambda: held.fill(0.0), 800.0, forces, [f"acc {k}" for k in range(ny)])
+"""
+MODAL = """
+[study]
+title = "one mode"
+[bench]
+object = "mixed.py:make"
+ny = {ny}
+nu = {nu}
+[experiment]
+list = "list.toml"
+[blending]
+{blending}
+[plant]
+method = "subspace"
+order = 2
+records = ["push"]
+[controllers.quiet.design]
+method = "lqg"
+"""
+
+
+def modal(place, ny, nu, blending):
+    """A study of one actuator mode whose matrices are given by the lines of its table."""
+    (place / "mixed.py").write_text(MIXED)
+    (place / "list.toml").write_text(LIST)
+    (place / "study.toml").write_text(MODAL.format(ny=ny, nu=nu, blending=blending))
+    return pipeline.load_study(place / "study.toml")
+
+
+def one_of(nu, k):
+    """Ta that drives actuator k of nu alone, as text of a study."""
+    return f"actuators = {[[float(j == k)] for j in range(nu)]}\n"
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(2, 2), (4, 3), (3, 5)])
+def test_records_driven_through_another_matrix_are_not_taken_up(ny, nu, tmp_path):
+    first, last, out = one_of(nu, 0), one_of(nu, nu - 1), tmp_path / "out"
+
+    def taken(blending):
+        return measure(modal(tmp_path, ny, nu, blending), out, tmp_path)["push"]
+
+    record, before = taken(first), state(out)
+    with pytest.raises(uq.errors.StorageError, match=r"'blending.actuators' was \[\[1.0\].*--record-again"):
+        taken(last)
+    assert state(out) == before
+    # Each sensor is recorded by itself: how they are blended decides no record.
+    assert taken(f"{first}sensors = {[[1.0] * ny]}").hash == taken(first).hash == record.hash
+    with pytest.raises(uq.errors.StorageError, match=r"'blending.actuator_modes' was \[\['actuator mode 1', 'N'\]\]"):
+        taken(first + 'actuator_names = ["push"]')
+
+
+def test_records_at_another_control_rate_or_through_another_filter_are_not_taken_up(tmp_path):
+    def taken(more, folder="out"):
+        return measure(modal(tmp_path, 2, 2, one_of(2, 0) + more), tmp_path / folder, tmp_path)["push"]
+
+    slow = taken("control_rate_hz = 200.0\n")
+    assert taken("control_rate_hz = 200.0\naverages = 2\nlatency_samples = 4\n").hash == slow.hash
+    for more, said in {
+        "control_rate_hz = 200.0\naverages = 4\n": "'blending.averages' was 2 and is 4",
+        "control_rate_hz = 200.0\nlatency_samples = 1\n": "'blending.latency_samples' was 4 and is 1",
+        "control_rate_hz = 400.0\n": "'blending.control_rate_hz' was 200.0 and is 400.0",
+    }.items():
+        with pytest.raises(uq.errors.StorageError, match=re.escape(said)):
+            taken(more)
+    # Without a slower rate there is no filter that could change anything.
+    fast = taken("", "fast")
+    assert taken("averages = 4\ncontrol_rate_hz = 800.0\n", "fast").hash == fast.hash
+
+
+def test_a_matrix_of_a_file_counts_by_its_content(tmp_path):
+    study = modal(tmp_path, 2, 2, 'actuators = "Ta.csv"\nsensors = "Ts.csv"\nnames = ["heave"]')
+
+    def key():
+        settings = with_read_matrices(study, tmp_path)
+        return content_hash(bench_key_of(settings, described(bench_of(study, tmp_path), settings, tmp_path)))
+
+    (tmp_path / "Ta.csv").write_text("1\n0\n")
+    (tmp_path / "Ts.csv").write_text("0.5,0.5\n")
+    record, before = measure(study, tmp_path / "out", tmp_path)["push"], key()
+    (tmp_path / "Ts.csv").write_text("0.5,0.25\n")
+    assert measure(study, tmp_path / "out", tmp_path)["push"].hash == record.hash
+    assert key() != before
+    (tmp_path / "Ta.csv").write_text("0\n1\n")
+    with pytest.raises(uq.errors.StorageError, match=re.escape("was [[1.0], [0.0]] and is [[0.0], [1.0]]")):
+        measure(study, tmp_path / "out", tmp_path)
+
+
+def test_a_table_that_changes_no_record_leaves_the_bench_its_key(tmp_path):
+    plain = modal(tmp_path, 3, 2, one_of(2, 0)).model_copy(update={"blending": None})
+    blended = modal(tmp_path, 3, 2, "sensors = [[1.0, 0.0, 1.0]]\n")
+    own = bench_of(plain, tmp_path)
+    assert described(own, plain, tmp_path) == identity(own, bench_table(plain), tmp_path)
+    assert described(own, blended, tmp_path) == described(own, plain, tmp_path)

@@ -10,10 +10,9 @@ from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.making.designs import plant_key
 from ultraquiet.pipeline.preflight import as_unit
 from ultraquiet.pipeline.stage import Cache
-from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.study import Study
 from ultraquiet.pipeline.tables.blending import blended
-from ultraquiet.pipeline.walk import bench_key_of, bench_of, bench_table
+from ultraquiet.pipeline.walk import bench_key_of, bench_of, described, with_read_matrices
 from ultraquiet.values import Record, StateSpace
 
 
@@ -34,8 +33,9 @@ def further_plants(
     own = bench_of(study, folder)
     if own is None:
         raise InputError("plant: 'units' are those of a bench, and the study has none.")
-    bench = own if study.blending is None else blended(own, study.blending, folder)
-    bench_key = bench_key_of(study, identity(own, bench_table(study), folder))
+    study = with_read_matrices(study, folder)
+    bench = own if study.blending is None else blended(own, study.blending)
+    bench_key = bench_key_of(study, described(own, study, folder))
     hashes = {name: record.hash for name, record in records.items()}
     found: dict[str, StateSpace] = {}
     for unit in study.plant.units:

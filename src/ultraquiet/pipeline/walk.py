@@ -32,7 +32,7 @@ from ultraquiet.pipeline.store.recorded import Records
 from ultraquiet.pipeline.store.sources import bench_of, list_of, place_beside, sources
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
-from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records
+from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records, driven, with_matrices
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.report import write
 from ultraquiet.values import Record
@@ -65,12 +65,13 @@ def measure(
     own = bench_of(settings, beside)
     if own is None:
         raise InputError("study: it has no bench that could measure; drop files instead.")
-    bench = own if settings.blending is None else blended(own, settings.blending, beside)
+    settings = with_read_matrices(settings, beside)
+    bench = own if settings.blending is None else blended(own, settings.blending)
     listed = experiments.load(list_of(settings, beside), bench, settings.study.seed)
     with locked(folder, say), _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)
-        store = Records(listed, bench, partial(identity, own, bench_table(settings), beside), folder, say)
+        store = Records(listed, bench, partial(described, own, settings, beside), folder, say)
         store.claim()
         return store.take(stop)
 
@@ -166,7 +167,8 @@ def prepared(
     found = sources(settings, beside, mistakes)
     preflight.check(settings, found.bench, found.names, found.listed, found.seen, mistakes)
     own, bench, blending, read, listed = found.own, found.bench, found.blending, found.read, found.listed
-    describe = partial(identity, own, bench_table(settings), beside)
+    resolved = settings.model_copy(update={"blending": blending})
+    describe = partial(described, own, resolved, beside)
     with locked(folder, say) as lock, _on_a_disk(folder), ExitStack() as processes:
         sweep(folder)
         _require_space(folder)
@@ -200,7 +202,7 @@ def prepared(
         if complete is not settings:
             settings = complete
             _write_study(settings, folder, beside)  # for whoever designs beside, and for the report
-        key = bench_key_of(settings, bench_key)
+        key = bench_key_of(resolved, bench_key)
         yield Stages(settings, cache, bench, records, say, key, ahead=ahead)
 
 
@@ -224,9 +226,31 @@ def bench_table(settings: study.Study) -> dict[str, Any]:
     return table
 
 
-def bench_key_of(settings: study.Study, described: Any) -> Any:
-    """Return what defines the bench for the stages that measure on it: what it is, and how its channels are blended."""
-    plain = json.loads(json.dumps(to_plain(described)))
+def described(own: Any, settings: study.Study, beside: Path | None) -> dict[str, Any]:
+    """Return what defines the bench that a study records, in plain types: its own, and the modes it is driven by.
+
+    `settings` are those of `with_read_matrices`.
+    """
+    return {**identity(own, bench_table(settings), beside), **driven(own, settings.blending)}
+
+
+def with_read_matrices(settings: study.Study, beside: Path | None) -> study.Study:
+    """Return the study with the matrices of its blending in place of the files that hold them.
+
+    Raises:
+        InputError: a file that holds none.
+    """
+    if settings.blending is None:
+        return settings
+    return settings.model_copy(update={"blending": with_matrices(settings.blending, beside)})
+
+
+def bench_key_of(settings: study.Study, bench: Any) -> Any:
+    """Return what defines the bench for the stages that measure on it: what it is, and how its channels are blended.
+
+    `settings` are those of `with_read_matrices`, so that of a file the content counts; `bench` is as `described`.
+    """
+    plain = json.loads(json.dumps(to_plain(bench)))
     return plain if settings.blending is None else [plain, settings.blending]
 
 

@@ -62,12 +62,15 @@ def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     ["'unit' was 'ground' and is 'flight'"]
     >>> differences({"path": {"file": "a.fmu", "sha256": "1"}}, {"path": {"file": "a.fmu", "sha256": "2"}})
     ["'path': a.fmu has another content"]
+    >>> differences({"gains": [0.0] * 99 + [1.0]}, {"gains": [0.0] * 99 + [2.0]})
+    ["'gains' holds other values"]
     """
     found: list[str] = []
     for name in (key for key in dict.fromkeys((*was, *now)) if not _agree(was.get(key), now.get(key))):
         files = _changed(was.get(name), now.get(name))
         one, other = _shown(was.get(name)), _shown(now.get(name))
-        found.append(f"'{name}' was {one} and is {other}" if one != other else f"'{name}': {files} has another content")
+        same = f"'{name}': {files} has another content" if files else f"'{name}' holds other values"
+        found.append(f"'{name}' was {one} and is {other}" if one != other else same)
     return found
 
 

@@ -77,6 +77,28 @@ def with_matrices(table: BlendingTable, beside: Path | None) -> BlendingTable:
     return table.model_copy(update=read)
 
 
+def driven(bench: Bench, table: BlendingTable | None) -> dict[str, Any]:
+    """Return what a table changes in the records of a bench, by setting, in plain types; nothing where it changes none.
+
+    These are the modes that are driven and the control rate with its filter. How sensors are blended is none of it:
+    each of them is recorded by itself. The table is one of `with_matrices`.
+
+    Raises:
+        InputError: as `blended`.
+    """
+    if table is None:
+        return {}
+    found: dict[str, Any] = {}
+    blending, decimation = _blending(bench, table, None), _decimation(bench.rate_hz, table)
+    modes, Ta = blending.actuator_modes, blending.actuator_matrix
+    if modes != tuple(bench.actuators) or not np.array_equal(Ta, np.eye(len(modes))):
+        found |= {"actuators": Ta.tolist(), "actuator_modes": [[c.name, c.unit] for c in modes]}
+    if decimation is not None and decimation.factor > 1:
+        found |= {"control_rate_hz": bench.rate_hz / decimation.factor, "averages": decimation.averages}
+        found |= {"latency_samples": decimation.latency or decimation.factor}
+    return {f"blending.{name}": value for name, value in found.items()}
+
+
 def blended(bench: Bench, table: BlendingTable, beside: Path | None = None) -> Any:
     """Return the bench that a study records: driven through the modes, every sensor read, at the control rate.
 
