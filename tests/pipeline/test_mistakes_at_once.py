@@ -77,6 +77,11 @@ ASKED = {
         [("rig.py", "rog.py"), ('law = "calm"', 'law = "clam"'), ("list.toml", "lost.toml")],
         {4: "rog.py' cannot be read", 7: "lost.toml' cannot be read", 14: "no law 'clam'", 16: "'precision'?"},
     ),
+    "a run that a tone does not fit": (
+        BENCH + "[closed_loop]\ntones_hz = [50.0, 1.3]\nduration_s = 1.5\n",
+        [],
+        {17: "closed_loop.duration_s: 1.5 s are too short for a tone of 1.3 Hz; ask for 1.54 s or more"},
+    ),
     "columns": (FILES, [('"u2"', '"ux"'), ("y2", "yx")], {8: "no column 'ux'", 9: "no column 'yx'"}),
     "several of a side": (FILES, [("y1, y2", "yp, yq")], {9: "no columns 'yp', 'yq'"}),
     "files": (

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
+from ultraquiet._base.errors import InputError
 from ultraquiet.bench import LinearBench, Wrapped
 from ultraquiet.cli.study import _louder
-from ultraquiet.pipeline.control import OpenLoops, closed
+from ultraquiet.pipeline.control import OpenLoops, _closed_on, closed
 from ultraquiet.pipeline.facts.loops import LoopFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.typed import from_plain, to_plain
 from ultraquiet.pipeline.preflight import LoopPlan
-from ultraquiet.simulate import Campaign
-from ultraquiet.values import Channel, StateSpace
+from ultraquiet.simulate import Campaign, LoopCheck, OpenLoop
+from ultraquiet.values import Channel, StateSpace, Status, StatusWord
 
 
 class Loops:
@@ -89,6 +90,49 @@ def test_a_loop_of_which_noise_hides_everything_is_not_called_unstable(monkeypat
     assert row["stable"]
     assert row["status"].startswith("not measured: The loop settles.")
     assert row["peak_db"] == np.inf
+
+
+def static(nu, ny, gain):
+    """A law u = K y of the first channels of each side."""
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), gain * np.eye(nu, ny), 1000.0)
+
+
+def loud(tone_hz, amplitude, duration_s):
+    return LoopPlan(("bench",), (50.0, tone_hz), amplitude, duration_s, (5.0, 20.0))
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+def test_a_run_too_short_for_its_tone_is_no_verdict_on_the_law(ny, nu):
+    units = [Channel(f"push {k}", "kN") for k in range(nu)], [Channel(f"place {k}", "um") for k in range(ny)]
+    plant = StateSpace(0.5 * np.eye(ny), np.eye(ny, nu), np.eye(ny), np.zeros((ny, nu)), 1000.0, *units)
+    with pytest.raises(InputError, match=r"'tones_hz' must lie between 1\.33333 and 500 Hz, got 1") as refused:
+        closed("calm", static(nu, ny, -0.2), OpenLoops(LinearBench(plant), loud(1.0, 0.5, 1.5)))
+    assert refused.value.of_question
+
+
+@pytest.mark.parametrize("breaks_open", [False, True], ids=["with the law", "without it"])
+def test_only_what_a_loop_does_is_a_verdict_on_its_law(breaks_open, monkeypatch):
+    """A place that answers by no number beyond a reach, once a law pushes; or, another bench, while none does."""
+    x = np.zeros(1)
+
+    def step(u, d):
+        y = x.copy()
+        x[:] = 0.5 * x + u + d
+        return y if abs(y[0]) < 1e4 or breaks_open == bool(u[0]) else [np.inf]
+
+    bench = Wrapped(step, lambda: x.fill(0.0), 1000.0, [Channel("push", "N")], [Channel("place", "um")])
+    calm = LoopCheck(Status(StatusWord.OK, "It settles."), np.ones(1), np.ones(1), -700.0, 1.0, 0.0, 1.0)
+    monkeypatch.setattr("ultraquiet.simulate.check_stability", lambda *_: calm)
+    one = static(1, 1, -0.2), OpenLoop(bench), loud(20.0, 3e4, 0.2), None
+    if breaks_open:
+        with pytest.raises(InputError, match="1 finite reading") as refused:
+            _closed_on(*one)
+        assert refused.value.of_question
+        return
+    found, _ = _closed_on(*one)
+    print(found.status)
+    assert found.status.startswith("unstable: Under disturbances the loop ran away: Wrapped")
+    assert LoopFacts(units={"bench": found}).unbearable
 
 
 def test_a_law_that_is_ok_and_leaves_its_band_louder_is_said():

@@ -1,10 +1,36 @@
 """The errors a user meets. Each message is one sentence: who refuses, what it got, what it would take."""
 
 import signal
+from collections.abc import Generator
+from contextlib import contextmanager
 
 
 class UltraquietError(Exception):
-    """Base of every error this package raises on purpose; the command line turns it into an exit code."""
+    """Base of every error this package raises on purpose; the command line turns it into an exit code.
+
+    Attributes:
+        of_question: whether what was asked is refused, or failed with no law acting: it says nothing of any law.
+    """
+
+    of_question: bool = False
+
+
+@contextmanager
+def asking() -> Generator[None]:
+    """Mark what is refused within a block as one of the question.
+
+    >>> try:
+    ...     with asking():
+    ...         raise InputError("attenuation: too short.")
+    ... except InputError as error:
+    ...     error.of_question, InputError("Record: not finite.").of_question
+    (True, False)
+    """
+    try:
+        yield
+    except UltraquietError as error:
+        error.of_question = True
+        raise
 
 
 class InputError(UltraquietError, ValueError):

@@ -256,7 +256,7 @@ def _closed_on(
     except UnheardError as error:
         return UnstableLoop(status=f"not measured: The loop settles. {error}"), (None, None)
     except UltraquietError as error:
-        if isinstance(error, InterlockError) and error.of_time:
+        if error.of_question or (isinstance(error, InterlockError) and error.of_time):
             raise
         # A law that runs away under a stronger disturbance is a finding about the law.
         return UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}"), (None, None)

@@ -19,6 +19,7 @@ from ultraquiet.experiments import ExperimentList
 from ultraquiet.pipeline.facts.loops import ONLY
 from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
 from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
+from ultraquiet.simulate.attenuation import shortest_run_s, slowest_tone_hz
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import usual_level
@@ -159,6 +160,7 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
         except UltraquietError as error:
             mistakes.add(("closed_loop", "units", k), f"closed_loop.units: {error}")
     _levels(study.closed_loop, bench, mistakes)
+    _periods(study.closed_loop, mistakes)
 
 
 def _levels(asked: ClosedLoop, bench: Any, mistakes: Mistakes) -> None:
@@ -171,6 +173,29 @@ def _levels(asked: ClosedLoop, bench: Any, mistakes: Mistakes) -> None:
             )
             mistakes.add(("closed_loop", "amplitude"), f"closed_loop.amplitude: {fault}")
             break
+
+
+def _periods(asked: ClosedLoop, mistakes: Mistakes) -> None:
+    """Note runs of which the slowest tone would not fill the part that is measured with a period."""
+    slowest_hz = min(asked.tones_hz, default=np.inf)
+    if asked.duration_s is None or slowest_hz >= slowest_tone_hz(asked.duration_s):
+        return
+    fault = (
+        f"{asked.duration_s:g} s are too short for a tone of {slowest_hz:g} Hz; ask for "
+        f"{_rounded_up(shortest_run_s(slowest_hz)):g} s or more, or leave it away."
+    )
+    mistakes.add(("closed_loop", "duration_s"), f"closed_loop.duration_s: {fault}")
+
+
+def _rounded_up(number: float) -> float:
+    """Return a number of three digits that is no smaller.
+
+    >>> _rounded_up(2.0), _rounded_up(1.53846), _rounded_up(2222.2)
+    (2.0, 1.54, 2230.0)
+    """
+    digits = 2 - int(np.floor(np.log10(number)))
+    near = round(number, digits)
+    return near if near >= number else round(near + 10.0**-digits, digits)
 
 
 def unheard(study: Study) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, below_nyquist, between, positive
-from ultraquiet._base.errors import InputError, InterlockError
+from ultraquiet._base.errors import InputError, InterlockError, asking
 from ultraquiet._base.progress import Task, task
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.loop import disturb, samples_of
@@ -95,23 +95,24 @@ def attenuation(
         InputError: no tone, one not below the Nyquist frequency or slower than the measured half of the run, no
             amplitude; a run too short for any tone.
     """
-    rate, n = bench.rate_hz, samples_of("attenuation", duration_s, bench.rate_hz, LEAST)
-    lowest = 1.0 / (MEASURED_SHARE * duration_s)
-    positive("attenuation", "amplitude_v", amplitude_v)
-    if np.ndim(tones_hz) != 1 or not len(tones_hz):
-        raise InputError(f"attenuation: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
+    with asking():
+        n = samples_of("attenuation", duration_s, bench.rate_hz, LEAST)
+        positive("attenuation", "amplitude_v", amplitude_v)
+        if np.ndim(tones_hz) != 1 or not len(tones_hz):
+            raise InputError(f"attenuation: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
+        tones = tuple(below_nyquist("attenuation", "tones_hz", tone_hz, bench.rate_hz) for tone_hz in tones_hz)
+        for f in tones:
+            between("attenuation", "tones_hz", f, slowest_tone_hz(duration_s), bench.rate_hz / 2, "Hz")
     rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     runs: list[tuple[Record, Record]] = []
     with task("closed loop", 2 * len(tones_hz)) as progress:
-        for tone_hz in tones_hz:
-            f = below_nyquist("attenuation", "tones_hz", tone_hz, rate)
-            between("attenuation", "tones_hz", f, lowest, rate / 2, "Hz")
+        for f in tones:
             opened, closed = _settled_runs(bench, controller, f, amplitude_v, n, progress)
             rows.append((*_tone(closed, f), _tone(opened, f)[0]))
             runs.append((opened, closed))
     closed_v, floor_v, open_v = (np.array(column) for column in zip(*rows, strict=True))
     return Attenuation(
-        tones_hz=tuple(float(f) for f in tones_hz),
+        tones_hz=tones,
         reduction_db=20 * np.log10(open_v / closed_v),
         paper_db=20 * np.log10(amplitude_v / closed_v),
         open_v=open_v,
@@ -119,8 +120,18 @@ def attenuation(
         floor_v=floor_v,
         opened=tuple(o for o, _ in runs),
         closed=tuple(c for _, c in runs),
-        settled=tuple(all(_has_settled(run, f) for run in both) for both, f in zip(runs, tones_hz, strict=True)),
+        settled=tuple(all(_has_settled(run, f) for run in both) for both, f in zip(runs, tones, strict=True)),
     )
+
+
+def slowest_tone_hz(duration_s: float) -> float:
+    """Return the slowest tone in Hz that runs of so many seconds measure: a period of it fills the measured part."""
+    return 1.0 / (MEASURED_SHARE * duration_s)
+
+
+def shortest_run_s(tone_hz: float) -> float:
+    """Return the length in seconds of the shortest run that measures a tone; see `slowest_tone_hz`."""
+    return 1.0 / (MEASURED_SHARE * tone_hz)
 
 
 def _settled_runs(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.errors import BenchError, InputError, UltraquietError
+from ultraquiet._base.errors import BenchError, InputError, UltraquietError, asking
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.one_line import described, one_line
 from ultraquiet.bench.hardware.interlocks import Guard, Interlocks
@@ -114,7 +114,8 @@ class Hardware(Stepped):
         loop = _Descending.of(setup, actuation, disturbance, controller)
         guard = self._guard()
         formed = np.clip(loop.u, loop.low[:, None], loop.high[:, None])
-        guard.foresee(np.concatenate([np.zeros((len(formed), 1)), formed[:, :-1]], axis=1) + loop.d)
+        with asking():
+            guard.foresee(np.concatenate([np.zeros((len(formed), 1)), formed[:, :-1]], axis=1) + loop.d)
         return loop
 
 

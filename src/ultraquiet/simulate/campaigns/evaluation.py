@@ -134,9 +134,9 @@ class Campaign:
         try:
             found = measure_sensitivity(bench, law)
             attenuation = found.worst_in_band_db(*self.band_hz)
-        except UnheardError as error:
-            return {**_lost(f"not measured: The loop settles. {error}"), "stable": True}
         except UltraquietError as error:
+            if isinstance(error, UnheardError) or error.of_question:
+                return {**_lost(f"not measured: The loop settles. {error}"), "stable": True}
             # A law that runs away under a stronger disturbance is a finding about the law.
             return _lost(f"unstable: Under disturbances the loop ran away: {error}")
         return {
