@@ -66,6 +66,41 @@ def test_a_users_bench_is_drawn_and_one_case_comes_out_again(study, run):
     assert len(lines) == 1 + 8
 
 
+COUNTING = """
+
+
+class Counting:
+    rate_hz = RATE_HZ
+
+    def __init__(self, own=None):
+        self.own, self.runs = own or Drawable(), 0
+
+    def drawn(self, seed):
+        return Counting(self.own.drawn(seed))
+
+    def linear_model(self):
+        return self.own.linear_model()
+
+    actuators = property(lambda self: self.own.actuators)
+    sensors = property(lambda self: self.own.sensors)
+
+    def run(self, *given, **more):
+        self.runs += 1
+        return self.own.run(*given, **more)
+"""
+
+
+def test_a_campaign_of_a_plain_class_is_resumed_by_the_next_process(study, run):
+    """It holds other numbers once its records were made, and no settings that anybody could compare."""
+    (study / "study.toml").write_text(STUDY.replace(":Drawable", ":Counting"))
+    (study / "drawable.py").write_text((study / "drawable.py").read_text() + COUNTING)
+    for benches, more in (("2", []), ("3", ["--resume"])):
+        code, _, err = run("campaign", "study.toml", "--benches", benches, "--workers", "1", *more)
+        print(err)
+        assert code < 2
+    assert len((study / "study" / "campaign" / "results.jsonl").read_bytes().splitlines()) == 1 + 3
+
+
 ODD = "Rüttler 1/it's out"
 
 

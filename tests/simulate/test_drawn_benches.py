@@ -6,7 +6,8 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from drawable import LAW, Drawable
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import peak_sensitivity
-from ultraquiet.simulate import Campaign, drawn_bench, drawn_parameters, run_campaign
+from ultraquiet.bench.from_file import from_file
+from ultraquiet.simulate import Campaign, drawn_bench, drawn_parameters, is_of, run_campaign
 from ultraquiet.simulate.campaigns import findings
 from ultraquiet.simulate.campaigns.ledger import Ledger
 from ultraquiet.simulate.campaigns.run import write_table
-from ultraquiet.values import StateSpace
+from ultraquiet.simulate.campaigns.told import told
+from ultraquiet.values import Blending, StateSpace
 from ultraquiet.values.interconnect import feedback
 
 BAND_HZ = (3.0, 8.0)
@@ -90,8 +93,93 @@ def test_results_that_were_sealed_stay_and_a_torn_line_is_cut_off(tmp_path):
         assert sorted(cases) == list(range(9))
     with pytest.raises(InputError, match="results of another law"):
         run_campaign(campaign(first_seed=1), 9, path, workers=1, resume=True)
-    run_campaign(campaign(first_seed=1), 2, path, workers=1)
-    assert path.with_suffix(".before.jsonl").exists()
+    kept = [path.read_bytes()]
+    for first_seed in (1, 2, 3):
+        run_campaign(campaign(first_seed=first_seed), 2, path, workers=1)
+        kept.append(path.read_bytes())
+    names = ("b.before.jsonl", "b.before-2.jsonl", "b.before-3.jsonl", "b.jsonl")
+    assert [(tmp_path / name).read_bytes() for name in names] == kept
+
+
+RIG = """
+from dataclasses import dataclass
+
+import numpy as np
+import ultraquiet as uq
+
+SPREAD = 0.0
+
+DECORATED
+class Rig:
+    gain: float = 1.0
+    rate_hz = 200.0
+
+    def __init__(self, gain=1.0):
+        self.gain, self.noise, self.of = gain, np.random.default_rng(1), {"itself": self}
+
+    def drawn(self, seed):
+        return Rig(self.gain * (1 + SPREAD * np.random.default_rng(seed).uniform(-1, 1)))
+
+    def linear_model(self):
+        return uq.StateSpace([[0.5]], [[self.gain]], [[1.0]], [[0.0]], self.rate_hz)
+
+    actuators = property(lambda self: self.linear_model().actuators)
+    sensors = property(lambda self: self.linear_model().sensors)
+
+    def run(self, actuation, disturbance=None, controller=None):
+        return uq.bench.LinearBench(self.linear_model()).run(actuation, disturbance, controller)
+"""
+
+
+@pytest.mark.parametrize("decorated", ["", "@dataclass(init=False)"], ids=["a class", "a dataclass"])
+@pytest.mark.parametrize("around", [False, True], ids=["itself", "blended"])
+def test_a_bench_is_known_again_until_its_file_changes(decorated, around, tmp_path):
+    file, path, law = tmp_path / "rig.py", tmp_path / "results.jsonl", uq.values.interconnect.gain([[-0.2]], 200.0)
+    file.write_text(RIG.replace("DECORATED", decorated))
+
+    def made(gain=1.0):
+        bench = from_file("rig.py:Rig", tmp_path, {"gain": gain})
+        if around:
+            bench = uq.bench.Blended(bench, Blending([[2.0]], [[1.0]], bench.sensors, bench.actuators))
+        return Campaign((("one", bench),), law, BAND_HZ)
+
+    rows = run_campaign(made(), 3, path, workers=1)
+    assert is_of(made(), path)
+    assert plain(run_campaign(made(), 3, path, workers=1, resume=True)) == plain(rows)
+    assert not is_of(made(2.0), path)
+    file.write_text(file.read_text().replace("SPREAD = 0.0", "SPREAD = 0.75"))
+    assert not is_of(made(), path)
+    with pytest.raises(InputError, match="results of another law, bench"):
+        run_campaign(made(), 3, path, workers=1, resume=True)
+    fresh = run_campaign(made(), 3, path, workers=1)
+    assert len({row["attenuation_db"] for row in rows}) == 1
+    assert len({row["attenuation_db"] for row in fresh}) == 3
+
+
+def test_what_a_study_says_of_its_bench_stands_for_what_the_bench_holds():
+    """A bench that has run holds other numbers than a fresh one; a study knows that both are one."""
+
+    class Counting(Drawable):
+        runs = 0
+
+    fresh, used = Counting(), Counting()
+    object.__setattr__(used, "gain", 2.0)
+    one, other = (campaign(units=(("one", bench),), bench_key={"object": "a.py"}) for bench in (fresh, used))
+    assert one.digest == other.digest
+    assert one.digest != replace(other, bench_key={"object": "b.py"}).digest
+    assert replace(one, bench_key=None).digest != replace(other, bench_key=None).digest
+
+
+def test_functions_are_told_by_what_they_do_and_what_they_hold():
+    def scaled(gain):
+        return lambda u: gain * u
+
+    assert told(scaled(2.0)) == told(scaled(2.0)) != told(scaled(3.0))
+    written = [eval(text, {"__name__": "here"}) for text in ("lambda u: 2 * u", "lambda u: 2 * u", "lambda u: 3 * u")]
+    assert told(written[0]) == told(written[1]) != told(written[2])
+    assert told(partial(np.clip, 1.0, 2.0)) == told(partial(np.clip, 1.0, 2.0)) != told(partial(np.clip, 1.0, 3.0))
+    assert told(Drawable().drawn) == told(Drawable().drawn) != told(Drawable(gain=2.0).drawn)
+    assert "0x" not in json.dumps(told([scaled, Drawable(), np.random.default_rng(1), {1, 2}, json, len]))
 
 
 def test_a_line_that_was_edited_is_evaluated_again(tmp_path):

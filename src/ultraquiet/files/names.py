@@ -1,5 +1,6 @@
-"""Names that come out of a file and become a path: plain ones, which cannot lead out of their folder."""
+"""Names of files: those that come out of a file and lead out of no folder, and those that nothing has yet."""
 
+from itertools import count
 from pathlib import Path
 
 from ultraquiet._base.errors import StorageError
@@ -50,6 +51,18 @@ def refuse_way_out(who: str, folder: Path, path: Path) -> None:
         stays = False
     if not stays:
         raise StorageError(f"{who}: '{path}' is a link that leads out of its folder; put the file itself there.")
+
+
+def free_name(path: Path, word: str) -> Path:
+    """Return a name beside `path` that nothing has: `plant.WORD.h5`, then `plant.WORD-2.h5`, and so on."""
+    for number in count(1):
+        tail = word if number == 1 else f"{word}-{number}"
+        candidate = path.with_name(f"{path.name.removesuffix(path.suffix)}.{tail}{path.suffix}")
+        if path.is_dir():
+            candidate = path.with_name(f"{path.name}.{tail}")
+        if not candidate.exists() and not candidate.is_symlink():
+            return candidate
+    raise AssertionError
 
 
 def quoted(name: object) -> str:

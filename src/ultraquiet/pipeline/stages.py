@@ -125,7 +125,7 @@ class Stages(ModelStages):
         design = self._design(name, system, plan)
         if name not in design.values:
             raise InputError(f"campaign: {name} has no law: {design.facts.status}")
-        return defined(self.study, self.bench, design.values[name], plan, table)
+        return defined(self.study, self.bench, design.values[name], plan, table, self.bench_key)
 
     def _commission(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[CommissioningFacts] | None:
         """Put the law on, step by step, where the study asks for it."""
@@ -150,7 +150,7 @@ class Stages(ModelStages):
         name = law_of(self.study, table)
         if name not in laws:
             return None
-        campaign = defined(self.study, self.bench, laws[name], plan, table)
+        campaign = defined(self.study, self.bench, laws[name], plan, table, self.bench_key)
         again = command("ultraquiet", "campaign", self.cache.folder)  # the study as it ran: it may be a quick one
         outcome = conducted(campaign, name, table, self.cache.folder, How(resume=None, replay=again))
         self.say(f"campaign: {outcome[0].status}")

@@ -58,8 +58,10 @@ def law_of(study: Study, table: CampaignTable | CommissionTable) -> str:
     return name
 
 
-def defined(study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: CampaignTable) -> simulate.Campaign:
-    """Return the campaign that a study names.
+def defined(
+    study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: CampaignTable, bench_key: Any
+) -> simulate.Campaign:
+    """Return the campaign that a study names; `bench_key` is what defines its bench.
 
     Raises:
         InputError: the bench cannot be drawn, or has no linear model where one is asked for.
@@ -70,7 +72,7 @@ def defined(study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: Ca
     for _, each in units:
         simulate.drawn_bench(each, table.first_seed)
     tuning = _tuning(study, table)
-    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed, tuning, table.measured)
+    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed, tuning, table.measured, bench_key)
 
 
 def _tuning(study: Study, table: CampaignTable) -> simulate.Tuning | None:

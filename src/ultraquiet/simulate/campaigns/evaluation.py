@@ -13,6 +13,7 @@ from ultraquiet.analyse.peaks import beside_poles
 from ultraquiet.bench import Bench
 from ultraquiet.identify import Rational
 from ultraquiet.simulate.campaigns.drawing import WHO, drawn_bench, drawn_parameters
+from ultraquiet.simulate.campaigns.told import kinds, told
 from ultraquiet.simulate.commissioning.tuning import tune_in_place
 from ultraquiet.simulate.sensitivity.measure import measure_sensitivity
 from ultraquiet.simulate.stability import check_stability
@@ -49,6 +50,8 @@ class Campaign:
         first_seed: case k is drawn by the seed `first_seed` + k.
         tuning: where given, each bench is recorded and gets a law of its own that begins with `law`.
         measured: so many of the first cases are judged on the truth and measured as well, with the same law.
+        bench_key: what defines the units, content of files included, where whoever made them knows; they are asked
+            themselves when absent.
 
     Raises:
         InputError: no units, a bench without a linear model for "truth", a band that does not rise or does not end
@@ -62,6 +65,7 @@ class Campaign:
     first_seed: int = 0
     tuning: Tuning | None = None
     measured: int = 0
+    bench_key: Any = None
 
     def __post_init__(self) -> None:
         one_of(WHO, "on", self.on, ON)
@@ -82,8 +86,11 @@ class Campaign:
     @property
     def digest(self) -> str:
         """What a result depends on besides the number of its case."""
-        benches = [(name, _told(bench)) for name, bench in self.units]
-        how = (list(self.band_hz), self.on, self.first_seed, repr(self.tuning), self.measured, versions())
+        if self.bench_key is None:
+            benches: list[Any] = [(name, told(bench)) for name, bench in self.units]
+        else:
+            benches = [self.bench_key, *((name, kinds(bench)) for name, bench in self.units)]
+        how = (list(self.band_hz), self.on, self.first_seed, told(self.tuning), self.measured, versions())
         return content_hash(benches, self.law.hash, *how)[:16]
 
     def bench_of(self, case: int) -> tuple[str, Bench]:
@@ -196,9 +203,3 @@ def _largest(plant: StateSpace, law: StateSpace, f_hz: FloatArray) -> FloatArray
 
 def _lost(status: str) -> Row:
     return {"stable": False, "attenuation_db": -np.inf, "peak_db": np.inf, "lines_missing": 0, "status": status}
-
-
-def _told(bench: Any) -> Any:
-    """Return what defines a bench, as far as it tells."""
-    made = getattr(bench, "provenance", None)
-    return [type(bench).__qualname__, repr(bench) if made is None else [made.made_by, dict(made.settings)]]

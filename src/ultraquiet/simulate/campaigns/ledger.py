@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.files.names import free_name
 from ultraquiet.simulate.campaigns.drawing import WHO
 
 Row = dict[str, Any]
@@ -20,7 +21,8 @@ class Ledger:
     Args:
         path: of the file.
         digest: of the campaign; results of another one are refused.
-        resume: go on with what is there; without it what is there is kept under another name and begun anew.
+        resume: go on with what is there; without it what is there is kept under a name that nothing has, and begun
+            anew.
 
     Raises:
         InputError: `resume` with results of another campaign.
@@ -30,10 +32,10 @@ class Ledger:
     def __init__(self, path: Path, digest: str, resume: bool) -> None:
         self.path, self.digest = path, digest
         self.rows: dict[int, Row] = {}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists() and not resume:
-            os.replace(path, path.with_suffix(".before.jsonl"))
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.exists() and not resume:
+                path.rename(free_name(path, "before"))
             kept = self._kept() if path.exists() else b""
             self._file = path.open("r+b" if kept else "wb")
             self._file.truncate(len(kept))
