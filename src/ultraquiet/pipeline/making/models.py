@@ -82,7 +82,8 @@ class ModelStages:
         return identified, validated, analysed
 
     def _key(self, plant: StateSpace) -> list[Any]:
-        return [self._record_hashes, self.study.identify, self.bench_key, plant.hash]
+        """Return what all judged models depend on: those of channels on what `identify` does, and the plant."""
+        return [*identify_key(self._record_hashes, self.study), self.bench_key, plant.hash]
 
     def _validate(
         self, identified: Outcome[IdentificationFacts], plant: StateSpace, plan: LoopPlan
@@ -102,5 +103,4 @@ class ModelStages:
         rate_hz = next(iter(self.records.values())).rate_hz
         f_hz = validation.shown_hz(rate_hz, max(record.duration_s for record in self.records.values()))
         compute = partial(validation.analysed, plant, paper, f_hz)
-        key = [*self._key(plant), self.study.paper]
-        return self.cache.stage("analyse", "models", key, compute, AnalysisFacts)
+        return self.cache.stage("analyse", "models", self._key(plant), compute, AnalysisFacts)
