@@ -1,5 +1,6 @@
 """Coordinates in which equations are easily solved: real modal blocks, even scaling, Gramians, balancing."""
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -8,12 +9,17 @@ from scipy.linalg import LinAlgError, solve_sylvester
 from scipy.linalg.lapack import dgesdd, dpstrf  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse.csgraph import connected_components
 
+from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.linalg.equations import lyapunov_both, stein, stein_factor
 from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
 MODAL_CONDITION = 1e7
+BOUNDARY = 1e-12  # of the size of A: as far as rounding may put an integrator off the boundary of stability
+# As large a coupling belongs to two halves of a repeated pole, as of a double integrator, which rounding sends apart.
+TOGETHER = 1e5
+NEAREST = 1e-6  # conjugates are no nearer to the boundary than each other
 PARALLEL = 1e-6  # eigenvectors of unit size whose product is this near one count as parallel
 ROOT_TWO = np.sqrt(2.0)
 
@@ -136,18 +142,58 @@ def residualize(M: Matrices, keep: int, discrete: bool) -> Matrices:
     )
 
 
-def stable_first(A: Array, discrete: bool) -> tuple[Array, Array, int]:
-    """Return T, its inverse and the number of stable states, such that A becomes diag(stable, unstable)."""
-    n = A.shape[0]
-    if n == 0:
+def stable_first(A: Array, discrete: bool, border: float = 0.0) -> tuple[Array, Array, int]:
+    """Return T, its inverse and the number of stable states, such that A becomes diag(stable, unstable).
+
+    Args:
+        A: `(n, n)`, its states of even size.
+        discrete: whether the unit circle or the imaginary axis is the boundary of stability.
+        border: what is nearer to the boundary than this share of the size of A counts as unstable (see `BOUNDARY`), and
+            so do poles, nearest to the boundary first, that cannot be told from an unstable one without loss of digits.
+
+    Raises:
+        NumericalError: eigenvalues too near to the boundary to be told apart.
+    """
+    if A.shape[0] == 0:
         return np.eye(0), np.eye(0), 0
-    S, U, count = ordered_schur(A, "iuc" if discrete else "lhp")
+    try:
+        return _stable_first(A, discrete, border)
+    except LinAlgError as error:
+        raise NumericalError(f"stable part of a system ({A.shape[0]} states): {error}.") from None
+
+
+def inside(A: Array, discrete: bool, border: float = 0.0) -> Callable[[float, float], bool]:
+    """Return what tells of an eigenvalue of A whether it is stable, and no nearer to the boundary than a border."""
+    width = border * float(np.linalg.norm(A))
+    if discrete:
+        return lambda real, imaginary: bool(np.hypot(real, imaginary) < 1 - width)
+    return lambda real, imaginary: real < -width
+
+
+def _stable_first(A: Array, discrete: bool, border: float) -> tuple[Array, Array, int]:
+    try:
+        S, U, count = ordered_schur(A, inside(A, discrete, border))
+    except LinAlgError:
+        if not border:
+            raise
+        return _stable_first(A, discrete, _wider(A, discrete, border))
     T = U.copy()
-    if count in (0, n):
+    if count in (0, len(A)):
         return T, T.T.copy(), int(count)
     X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
+    if border and np.linalg.norm(X) > TOGETHER:
+        return _stable_first(A, discrete, _wider(A, discrete, border))
     T[:, count:] += U[:, :count] @ X
     return T, np.linalg.inv(T), int(count)
+
+
+def _wider(A: Array, discrete: bool, border: float) -> float:
+    """Return a border that takes in the nearest of the eigenvalues that are stable by another one."""
+    stable = inside(A, discrete, border)
+    values = [z for z in np.linalg.eigvals(A) if stable(z.real, z.imag)]
+    if not values:
+        raise LinAlgError("an eigenvalue crossed the border while they were put in order")
+    return float(min(1 - abs(z) if discrete else -z.real for z in values)) * (1 + NEAREST) / float(np.linalg.norm(A))
 
 
 def well_conditioned(T: Array, inverse: Array, limit: float) -> bool:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur
@@ -25,11 +25,11 @@ def complex_schur(A: Array) -> tuple[Array, Array]:
     return np.asarray(T), np.asarray(Q)
 
 
-def ordered_schur(A: Array, wanted: str | Callable[[float, float], bool]) -> tuple[Array, Array, int]:
+def ordered_schur(A: Array, wanted: Literal["lhp"] | Callable[[float, float], bool]) -> tuple[Array, Array, int]:
     """Return T, Q and how many eigenvalues are wanted; those come first.
 
-    `wanted` is `lhp` (negative real part), `iuc` (not outside the unit circle) or a function of real and imaginary
-    part. What LAPACK's driver does with a call for each eigenvalue: one form, and another order only where it needs it.
+    `wanted` is `lhp` (negative real part) or a function of real and imaginary part. What LAPACK's driver does with a
+    call for each eigenvalue: one form, and another order only where it needs it.
 
     Raises:
         LinAlgError: an eigenvalue crossed the border while they were put in order.
@@ -58,10 +58,10 @@ def _schur_workspace(n: int) -> int:
     return int(dgees(_unsorted, np.zeros((n, n)), lwork=-1)[-2][0])
 
 
-def _wanted(real: Array, imaginary: Array, wanted: str | Callable[[float, float], bool]) -> Array:
+def _wanted(real: Array, imaginary: Array, wanted: Literal["lhp"] | Callable[[float, float], bool]) -> Array:
     if callable(wanted):
         return np.array([bool(wanted(x, y)) for x, y in zip(real, imaginary, strict=True)], dtype=bool)
-    return real < 0 if wanted == "lhp" else np.hypot(real, imaginary) <= 1
+    return real < 0
 
 
 def diagonal_eigenvalues(T: Array) -> Array:

@@ -12,7 +12,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.ordered import Matrices, ordered_schur
+from ultraquiet.linalg.ordered import Matrices, diagonal_eigenvalues, real_schur
 from ultraquiet.reduce.promises import Delivered
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -75,17 +75,23 @@ class StableSplit(NamedTuple):
 
 
 def split(system: StateSpace, slowest_hz: float = 0.0) -> StableSplit:
-    """Split off the part that is unstable or decays slower than exp(-2 pi slowest_hz t)."""
+    """Split off the part that is unstable, integrates, or decays slower than exp(-2 pi slowest_hz t).
+
+    Raises:
+        NumericalError: poles too near to the border to be told apart.
+    """
     decay = 2 * np.pi * slowest_hz
     discrete = system.rate_hz is not None
     # the border of decay becomes the border of stability
     shifted = system.A * np.exp(decay / system.rate_hz) if system.rate_hz else system.A + decay * np.eye(system.states)
-    form, U, count = ordered_schur(shifted, "iuc" if discrete else "lhp") if system.states else (shifted, shifted, 0)
-    if count == system.states:  # nothing to split off, and the form spares the Gramians another one
-        form = form / np.exp(decay / system.rate_hz) if system.rate_hz else form - decay * np.eye(count)
+    form, U = real_schur(shifted) if system.states else (shifted, shifted)
+    stable = balance.inside(shifted, discrete, balance.BOUNDARY)
+    if all(stable(z.real, z.imag) for z in diagonal_eigenvalues(form)):
+        # nothing to split off, and the form spares the Gramians another one
+        form = form / np.exp(decay / system.rate_hz) if system.rate_hz else form - decay * np.eye(system.states)
         nothing = (np.zeros((0, 0)), np.zeros((0, system.B.shape[1])), np.zeros((system.C.shape[0], 0)))
         return StableSplit((form, U.T @ system.B, system.C @ U, system.D), nothing, U.T)
-    T, inverse, count = balance.stable_first(shifted, discrete)
+    T, inverse, count = balance.stable_first(shifted, discrete, balance.BOUNDARY)
     A, B, C = inverse @ system.A @ T, inverse @ system.B, system.C @ T
     stable = (A[:count, :count], B[:count], C[:, :count], system.D)
     return StableSplit(stable, (A[count:, count:], B[count:], C[:, count:]), inverse[:count])

@@ -133,10 +133,17 @@ class Candidates:
         tries = [c for source in self._sources for c in self._from(source, count)]
         if self._copies == 1 and not any(np.isfinite(t.cost) for t in tries):
             # two-sided weights do not promise a stable law; plain balancing does
+            tries += self._from_plain(count)
+        return tries
+
+    def _from_plain(self, count: int) -> list[ReducedLaw]:
+        """Return the projections by the law's own Gramians."""
+        try:
             stable, kept, _ = split(self._K)
             P, Q = balance.gramians(*stable[:3], self._discrete)
-            tries += self._from(_Source("plain", stable, P, Q, kept), count)
-        return tries
+        except NumericalError:
+            return []
+        return self._from(_Source("plain", stable, P, Q, kept), count)
 
     def _from(self, source: _Source, count: int) -> list[ReducedLaw]:
         """Return the projections by one pair of Gramians."""
@@ -172,17 +179,32 @@ class Candidates:
         K, copies = self._law, self._copies
         Pc, Qo = loop_gramians(self.P, loop, copies)
         M: Matrices = (K.A, K.B, K.C, K.D)
-        none = (np.zeros((0, 0)), np.zeros((0, K.D.shape[1])), np.zeros((K.D.shape[0], 0)))
-        sources = [_Source("loop", M, Pc, Qo, none)]
-        after = _influence(self.P, self._K)
-        if copies == 1:
-            stable, kept, rows = split(self._K)
-            Q = output_gramian(stable, after, self._discrete)
-            return [*sources, _Source("cascade", stable, rows @ Pc @ rows.T, Q, kept)]
-        if not self._K.is_stable():
-            return sources
-        Q = output_gramian((self._K.A, self._K.B, self._K.C, self._K.D), after, self._discrete)
-        return [*sources, _Source("cascade", M, Pc, mean_block(Q, copies), none)]
+        sources = [_Source("loop", M, Pc, Qo, _nothing(K))]
+        cascade = self._cascade(Pc)
+        return sources if cascade is None else [*sources, cascade]
+
+    def _cascade(self, Pc: FloatArray) -> _Source | None:
+        """Return Gramians of the cascade; None where they have no limit."""
+        K, copies = self._K, self._copies
+        after = _influence(self.P, K)
+        try:
+            if copies == 1:
+                stable, kept, rows = split(K)
+                Q = output_gramian(stable, after, self._discrete)
+                return _Source("cascade", stable, rows @ Pc @ rows.T, Q, kept)
+            if not K.is_stable():
+                return None
+            Q = output_gramian((K.A, K.B, K.C, K.D), after, self._discrete)
+        except NumericalError:
+            return None
+        law = self._law
+        M: Matrices = (law.A, law.B, law.C, law.D)
+        return _Source("cascade", M, Pc, mean_block(Q, copies), _nothing(law))
+
+
+def _nothing(law: StateSpace) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the part beside a law that is reduced as a whole."""
+    return np.zeros((0, 0)), np.zeros((0, law.D.shape[1])), np.zeros((law.D.shape[0], 0))
 
 
 def _influence(P: StateSpace, K: StateSpace) -> Matrices:

@@ -145,7 +145,7 @@ def hankel_values(law: StateSpace) -> np.ndarray:
     """Return the Hankel singular values of the stable part of a law, one a state, the largest first, scaled evenly."""
     A, B, C, _ = balance.scaled(law.A, law.B, law.C)
     discrete = law.rate_hz is not None
-    T, inverse, stable = balance.stable_first(A, discrete)
+    T, inverse, stable = balance.stable_first(A, discrete, balance.BOUNDARY)
     inner = (inverse @ A @ T)[:stable, :stable]
     R, L = balance.gramian_factors(inner, (inverse @ B)[:stable], (C @ T)[:, :stable], discrete)
     values = np.linalg.svd(L.T @ R, compute_uv=False)
