@@ -7,6 +7,7 @@ from scipy.linalg import block_diag
 from ultraquiet.design import Lqg
 from ultraquiet.linalg.balance import BOUNDARY, stable_first
 from ultraquiet.reduce import Balanced, ClosedLoopWeighted, FrequencyWeighted, HankelNorm
+from ultraquiet.reduce.promises import Judge, Promise
 from ultraquiet.values import StateSpace
 
 BOUNDED = (Balanced, HankelNorm)
@@ -76,3 +77,12 @@ def test_a_reduction_by_the_loop_keeps_the_integrator(servo):
         print(small.status)
         assert small.status.word != "unstable"
         assert np.abs(small.controller.poles() - 1.0).min() < 1e-9
+
+
+def test_an_integrator_promises_a_band_and_not_the_round_off_at_rest(servo):
+    plant, law = servo
+    judge = Judge(plant, law, Promise.of(law))
+    grid = np.geomspace(0.005, 1.0, 500)
+    lines = np.abs(1 / (1 - plant.frequency_response(grid) * law.frequency_response(grid)))[0, 0]
+    print(f"{judge.before.band_db:.1f} dB in the band, {-20 * np.log10(lines.min()):.1f} dB at best")
+    assert judge.before.band_db == pytest.approx(-10 * np.log10(lines.min()), rel=0.01)

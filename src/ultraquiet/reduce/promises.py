@@ -137,9 +137,10 @@ def _fall(what: str, before_db: float, after_db: float) -> str:
 
 
 def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
-    reduction = -_db(size)
-    best = float(reduction.max())
-    return (reduction >= QUIET_SHARE * best) & (best >= AUDIBLE_DB) & np.isfinite(f)
+    """Return where a loop is quiet; not at rest, where a law that integrates leaves nothing but round-off."""
+    reduction, moving = -_db(size), f > 0
+    best = float(reduction[moving].max())
+    return (reduction >= QUIET_SHARE * best) & (best >= AUDIBLE_DB) & moving
 
 
 def _responses(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
