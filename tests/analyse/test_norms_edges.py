@@ -173,3 +173,15 @@ def test_the_exact_response_is_asked_a_bounded_number_of_times(seed, monkeypatch
     print(f"the exact response was asked {counts} times")
     assert np.median(counts) <= most  # a draw whose response has no four digits is searched as a whole
     assert max(counts) > 2, "no draw needs the exact response"
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
+def test_l2_norm_has_no_units_of_states(rng, rate_hz, nu, ny):
+    A, d = rng.standard_normal((6, 6)), 10.0 ** rng.uniform(-7, 7, 6)
+    B, C = rng.standard_normal((6, nu)), rng.standard_normal((ny, 6))
+    G = StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz)
+    other = StateSpace(A * d / d[:, None], B / d[:, None], C * d, G.D, rate_hz)
+    print(f"{l2_norm(G):.6g}, in other units {l2_norm(other):.6g}")
+    assert l2_norm(other) == pytest.approx(l2_norm(G), rel=1e-9)
+    assert not G.is_stable()

@@ -287,3 +287,33 @@ def test_a_plant_that_integrates_has_no_response_at_rest_and_its_law_is_reduced(
     assert result.controller is not None
     assert result.controller.states == 1
     assert feedback(plant, result.controller).is_stable()
+
+
+@pytest.mark.parametrize("method", METHODS[:3], ids=lambda m: m.__name__)
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
+@pytest.mark.parametrize("unstable", [False, True])
+def test_a_reduction_has_no_units_of_states(method, rate_hz, nu, ny, unstable, rng):
+    G = random_stable(rng, 6, nu, ny, rate_hz)
+    if unstable:  # turned round the boundary of stability, half of the poles are beyond it
+        G = StateSpace(G.A * 1.5 if rate_hz else G.A + 0.8 * np.eye(6), G.B, G.C, G.D, rate_hz)
+    d = 10.0 ** rng.uniform(-7, 7, 6)
+    other = StateSpace(G.A * d / d[:, None], G.B / d[:, None], G.C * d, G.D, rate_hz)
+    reduction = method(states=4)
+    one, two = reduction.reduce(G), reduction.reduce(other)
+    f_hz = np.array([0.1, 0.5, 2.0])
+    first, second = (r.controller.frequency_response(f_hz) for r in (one, two))
+    assert one.status.word == two.status.word
+    assert np.abs(first - second).max() < 1e-6 * np.abs(first).max()
+    if one.bound is not None:
+        assert two.bound == pytest.approx(one.bound, rel=1e-6)
+
+
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
+def test_an_optimal_approximation_has_no_axes_of_states(nu, ny, rng):
+    G = of_hankel_values(rng, np.array([3.0, 1.0, 0.3, 0.1, 0.02]), nu, ny)
+    turn = np.linalg.qr(rng.standard_normal((5, 5)))[0]
+    turned = StateSpace(turn.T @ G.A @ turn, turn.T @ G.B, G.C @ turn, G.D)
+    one, two = (HankelNorm(states=3).reduce(each).controller for each in (G, turned))
+    print(f"apart by {hinf_norm(difference(one, two))[0]:.1e} of {hinf_norm(one)[0]:.3g}")
+    assert hinf_norm(difference(one, two))[0] < 1e-6 * hinf_norm(one)[0]

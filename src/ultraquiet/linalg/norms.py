@@ -294,6 +294,8 @@ def axis_mean_square(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
 
     Stable and unstable part are orthogonal; the unstable one counts by its image, mirrored at the stability boundary.
     """
+    d = even_scale(A, B, C)
+    A, B, C = A * d / d[:, None], B / d[:, None], C * d
     T, inverse, stable = stable_first(A, discrete)
     A, B, C = inverse @ A @ T, inverse @ B, C @ T
     good, bad = slice(stable), slice(stable, None)

@@ -12,6 +12,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.ordered import Matrices, diagonal_eigenvalues, real_schur
 from ultraquiet.reduce.promises import Delivered
 from ultraquiet.values.state_space import StateSpace
@@ -81,20 +82,23 @@ def split(system: StateSpace, slowest_hz: float = 0.0) -> StableSplit:
         NumericalError: poles too near to the border to be told apart.
     """
     decay = 2 * np.pi * slowest_hz
-    discrete = system.rate_hz is not None
+    rate_hz, n = system.rate_hz, system.states
+    # orthogonal transformations keep the digits of large states only: all are made alike first
+    d = even_scale(system.A, system.B, system.C)
+    A, B, C = system.A * d / d[:, None], system.B / d[:, None], system.C * d
     # the border of decay becomes the border of stability
-    shifted = system.A * np.exp(decay / system.rate_hz) if system.rate_hz else system.A + decay * np.eye(system.states)
-    form, U = real_schur(shifted) if system.states else (shifted, shifted)
-    stable = balance.inside(shifted, discrete, balance.BOUNDARY)
+    shifted = A * np.exp(decay / rate_hz) if rate_hz else A + decay * np.eye(n)
+    form, U = real_schur(shifted) if n else (shifted, shifted)
+    stable = balance.inside(shifted, rate_hz is not None, balance.BOUNDARY)
     if all(stable(z.real, z.imag) for z in diagonal_eigenvalues(form)):
         # nothing to split off, and the form spares the Gramians another one
-        form = form / np.exp(decay / system.rate_hz) if system.rate_hz else form - decay * np.eye(system.states)
-        nothing = (np.zeros((0, 0)), np.zeros((0, system.B.shape[1])), np.zeros((system.C.shape[0], 0)))
-        return StableSplit((form, U.T @ system.B, system.C @ U, system.D), nothing, U.T)
-    T, inverse, count = balance.stable_first(shifted, discrete, balance.BOUNDARY)
-    A, B, C = inverse @ system.A @ T, inverse @ system.B, system.C @ T
-    stable = (A[:count, :count], B[:count], C[:, :count], system.D)
-    return StableSplit(stable, (A[count:, count:], B[count:], C[:, count:]), inverse[:count])
+        form = form / np.exp(decay / rate_hz) if rate_hz else form - decay * np.eye(n)
+        nothing = (np.zeros((0, 0)), np.zeros((0, B.shape[1])), np.zeros((C.shape[0], 0)))
+        return StableSplit((form, U.T @ B, C @ U, system.D), nothing, U.T / d)
+    T, inverse, count = balance.stable_first(shifted, rate_hz is not None, balance.BOUNDARY)
+    A, B, C = inverse @ A @ T, inverse @ B, C @ T
+    reducible = (A[:count, :count], B[:count], C[:, :count], system.D)
+    return StableSplit(reducible, (A[count:, count:], B[count:], C[:, count:]), inverse[:count] / d)
 
 
 def joined(reduced: Matrices, kept: tuple[FloatArray, FloatArray, FloatArray]) -> Matrices:

@@ -18,6 +18,7 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 MINIMAL = 1e-13  # states with Hankel values below this share of the largest are round-off
+REACHED = 1e-9  # of the largest singular value of the product of gains that belong to one Hankel value
 EQUAL = 1e-7  # Hankel values as near as this, relatively, count as one
 
 
@@ -128,8 +129,7 @@ def _allpass(M: Matrices, hankel: FloatArray, alike: Array) -> Matrices:
     size = max(p, m)
     B, C = np.pad(B, ((0, 0), (0, size - m))), np.pad(C, ((0, size - p), (0, 0)))
     rest, s = ~alike, float(np.mean(hankel[alike]))
-    Z, _, Yt = np.linalg.svd(C[:, alike] @ B[alike])
-    U = -Z @ Yt
+    U = _turned(C[:, alike] @ B[alike])
     S = hankel[rest]
     A1, B1, C1 = A[np.ix_(rest, rest)], B[rest], C[:, rest]
     # theorem 6.3 in states that stay as large as the balanced ones, where its own grow with 1 / (S^2 - s^2)
@@ -140,3 +140,15 @@ def _allpass(M: Matrices, hankel: FloatArray, alike: Array) -> Matrices:
     c = (C1 * S + s * U @ B1.T) * right
     d = np.pad(D, ((0, size - p), (0, size - m))) - s * U
     return a, b[:, :m], c[:p], d[:p, :m]
+
+
+def _turned(M: Array) -> Array:
+    """Return the orthogonal U that turns the inputs of M against its outputs, -U the orthogonal factor of M.
+
+    What M does not reach is left to choice: there -U turns as little as it can, whatever vectors span it.
+    """
+    Z, values, Yt = np.linalg.svd(M)
+    rank = int(np.sum(values > REACHED * values[0]))
+    left, right = Z[:, rank:], Yt[rank:]
+    P, _, Qt = np.linalg.svd(left.T @ right.T)
+    return -(Z[:, :rank] @ Yt[:rank] + left @ P @ Qt @ right)
