@@ -18,6 +18,7 @@ NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave a direc
 CIRCLE = 1 << 15  # points from 0 to pi on which the phase of a minimum-phase function is computed
 NO_ANSWER = 1e-12  # a response this small beside the largest counts as that small
 LONGEST_DELAY = 64  # samples
+ROUNDED = 1e-9  # no answer above this share of the largest is taken for round-off
 ALONE_DB = 300.0  # what leaves a direction lies below every digit of what stays
 
 
@@ -118,17 +119,35 @@ class AllActuators:
 
 
 def _common(plant: StateSpace, v: FloatArray) -> tuple[ComplexArray, int]:
-    """Return the zeros outside the stability region, in the half-plane, and the samples of delay of v' G."""
+    """Return the zeros outside the stability region, in the half-plane, and the samples of delay of v' G.
+
+    The zeros are those of v' G without the delay, which is one of them at infinity: none is counted twice.
+    """
     C, D = v[None, :] @ plant.C, v[None, :] @ plant.D
+    delay = 0 if plant.rate_hz is None else _delay(plant, v)
+    for _ in range(delay):  # z times C (z I - A)^-1 B
+        C, D = C @ plant.A, C @ plant.B
     values = invariant_zeros(plant.A, plant.B, C, D)
     zeros = half_plane(values, plant.rate_hz)
-    zeros = zeros[np.isfinite(zeros) & (zeros.real > 0)]
-    if plant.rate_hz is None:
-        return zeros, 0
-    term, scale = C, np.linalg.norm(C) * np.linalg.norm(plant.B)
-    delay = 0
-    if not np.any(np.abs(D) > NO_ANSWER * scale):
-        delay = 1
-        while delay < LONGEST_DELAY and not np.any(np.abs(term @ plant.B) > NO_ANSWER * scale):
-            term, delay = term @ plant.A, delay + 1
-    return zeros, delay
+    return zeros[np.isfinite(zeros) & (zeros.real > 0)], delay
+
+
+def _delay(plant: StateSpace, v: FloatArray) -> int:
+    """Return after how many samples v' G answers; `LONGEST_DELAY` at most, and no delay at all where it never does.
+
+    Nothing is an answer this small beside the largest in that time, or that is round-off of the products it is the sum
+    of. Neither has units, whatever those of the states.
+    """
+    C, D = v[None, :] @ plant.C, v[None, :] @ plant.D
+    answers, sums = [np.abs(D)], [np.abs(v[None, :]) @ np.abs(plant.D)]
+    bound = np.abs(v[None, :]) @ np.abs(plant.C)
+    for _ in range(LONGEST_DELAY):
+        answers.append(np.abs(C @ plant.B))
+        sums.append(bound @ np.abs(plant.B))
+        C, bound = C @ plant.A, bound @ np.abs(plant.A)
+    largest = max(float(answer.max()) for answer in answers)
+    for k, (answer, total) in enumerate(zip(answers, sums, strict=True)):
+        rounding = np.minimum(NO_ANSWER * total, ROUNDED * largest)
+        if np.any(answer > np.maximum(rounding, NO_ANSWER * largest)):
+            return k
+    return 0
