@@ -317,3 +317,23 @@ def test_an_optimal_approximation_has_no_axes_of_states(nu, ny, rng):
     one, two = (HankelNorm(states=3).reduce(each).controller for each in (G, turned))
     print(f"apart by {hinf_norm(difference(one, two))[0]:.1e} of {hinf_norm(one)[0]:.3g}")
     assert hinf_norm(difference(one, two))[0] < 1e-6 * hinf_norm(one)[0]
+
+
+@pytest.mark.parametrize(("nu", "ny", "size"), [(1, 1, 1.0), (3, 4, 1e-9), (5, 3, 1e6)])
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_an_unstable_reduction_of_a_stable_system_is_not_ok(rng, nu, ny, size, rate_hz):
+    unstable = 0
+    for _ in range(40):
+        G = random_stable(rng, 4, nu, ny, rate_hz)
+        G = StateSpace(G.A, G.B, size * G.C, size * G.D, rate_hz)
+        weights = {"output": random_stable(rng, 3, ny, ny, rate_hz), "input": random_stable(rng, 3, nu, nu, rate_hz)}
+        small = FrequencyWeighted(states=1).reduce(G, weights=weights)
+        assert small.status.ok == small.controller.is_stable() == np.isfinite(small.details["weighted_error"])
+        if not small.status.ok:
+            unstable += 1
+            assert small.status.word == "unstable"
+            assert "guard=True" in small.status.sentence
+            guarded = FrequencyWeighted(states=1, guard=True).reduce(G, weights=weights)
+            assert guarded.status.ok
+            assert guarded.controller.is_stable()
+    print(f"{unstable} of 40 unstable without a guard")

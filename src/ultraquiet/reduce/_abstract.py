@@ -29,7 +29,8 @@ class ReductionResult(Shown):
 
     Attributes:
         status: `ok` when the loop is stable with the reduced system (or when no loop was asked for), no more was lost
-            than allowed and what the law did for it is kept; else `unstable` or `loss`.
+            than allowed and what the law did for it is kept; else `unstable` or `loss`. Without a loop, `unstable`
+            where a stable part became unstable.
         controller: the reduced system.
         hankel: the (weighted) Hankel values by which states were kept, largest first.
         cost_before: closed-loop norm with the full controller; nan where no loop was given.

@@ -1,7 +1,7 @@
 """Balanced reduction with frequency weights before and behind the system."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ultraquiet.reduce.weighting import input_gramian, output_gramian, static
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 LOOPS = ("performance", "stability")
 
@@ -72,6 +73,8 @@ class FrequencyWeighted:
     ) -> ReductionResult:
         """Return the reduced system; `details["weighted_error"]` is the H-infinity norm of V (K - Kr) W.
 
+        Without a plant to judge it by, a reduction that makes a stable part unstable is called `unstable`.
+
         Args:
             controller: K.
             plant: G, when the loop gives the weights or is to be looked at afterwards.
@@ -92,9 +95,19 @@ class FrequencyWeighted:
         provenance = Provenance("FrequencyWeighted", asdict(self), parents=(controller.hash,), versions=versions())
         small = renamed(joined(reduced, kept), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
-        details = {"weighted_error": _error(stable, reduced, V, W, controller.rate_hz)}
-        result = certified(controller, small, hankel, P=P_loop, details=details)
+        error = _error(stable, reduced, V, W, controller.rate_hz)
+        result = certified(controller, small, hankel, P=P_loop, details={"weighted_error": error})
+        if plant is None and not np.isfinite(error):
+            return replace(result, status=self._unstable(result.status))
         return kept_promise(result, controller, plant)
+
+    def _unstable(self, status: Status) -> Status:
+        """Say that the reduction made a stable part unstable, which is infinitely far from it."""
+        way = "keep more states" if self.guard else "take guard=True or keep more states"
+        return Status(
+            StatusWord.UNSTABLE,
+            f"{status.sentence.removesuffix('.')}; what was stable is not so with so few between these weights, {way}.",
+        )
 
     def _weights(self, K: StateSpace, plant: StateSpace | None, weights: Weights) -> tuple[StateSpace, StateSpace]:
         """Return V and W, identities where there is none."""
