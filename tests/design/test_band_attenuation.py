@@ -57,6 +57,20 @@ def test_a_peak_out_of_reach_is_not_searched_for(monkeypatch):
     result = BandAttenuation(band_hz=(1.0, 10.0), peak_db=0.1).design(plant)
     assert result.peak_sensitivity_db > 0.1
     assert tried == [result.details["height"]] * 2  # asked, and designed
+    assert result.status.word == "short"
+
+
+@pytest.mark.parametrize("structure", ["full", "repeated"])
+@pytest.mark.parametrize(("rate_hz", "channels", "gain"), [(3500.0, 1, 1.0), (3500.0, 3, 1e-6), (None, 1, 1e4)])
+def test_a_peak_that_is_not_met_is_not_called_ok(rate_hz, channels, gain, structure):
+    one = StateSpace([[0.9 if rate_hz else -360.0]], [[0.1 if rate_hz else 350.0]], [[gain]], [[0.0]], rate_hz)
+    plant = append(*[one] * channels)
+    for asked, word in ((0.2, "short"), (6.0, "ok"))[: 2 if channels == 1 else 1]:  # the height is searched for one
+        result = BandAttenuation(band_hz=(9.0, 108.0), order=2, peak_db=asked, structure=structure).design(plant)
+        print(f"asked {asked:g} dB, got {result.peak_sensitivity_db:.2f} dB: {result.status}")
+        assert (result.peak_sensitivity_db <= asked + 0.1) == (word == "ok")
+        assert result.status.word == word
+        assert ("0.2 dB is out of reach" in result.status.sentence) == (word == "short")
 
 
 def test_common_mode_of_six_equal_channels_is_the_channel():

@@ -39,6 +39,7 @@ NUMBERS = ("height", "floor", "control_limit", "control_hz", "roll_off_hz")
 T_WEIGHT = 0.4  # |T| may reach gamma / 0.4 below the roll-off
 RISE = 10.0  # the weights on KS and T grow by this factor, one decade in frequency
 HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
+PEAK_OFF_DB = 0.1  # by which a peak may miss what was asked for
 HEIGHT_STEPS = 8  # halvings of the logarithm of that range: 2 % in height
 CALMER = (1.1, 1.2)
 WHOLE = 1.1  # a Butterworth edge has lost half of the weight's height at its corner; a tenth inside it is whole
@@ -133,7 +134,7 @@ class BandAttenuation(StatedRobustness):
         design model, the `height` used and the `weights`; with an `uncertainty` also `robust_stability`, max ||W T||,
         and the status is `not robust` where that is not below one. A law that is `repeated` is compared with what it
         promises for the one function it was designed for, `promised_db`: where 3 dB of it are lost in the worst
-        direction of the whole plant, the status is `short`.
+        direction of the whole plant, the status is `short`. So it is where the least height peaks above `peak_db`.
 
         Raises:
             InputError: the plant is not square.
@@ -147,7 +148,9 @@ class BandAttenuation(StatedRobustness):
         settled = self.settled(plant)  # for the whole plant, also where a part of it is designed for
         if self.peak_db is not None:
             height = _height_for_peak(settled, part, plant, self.peak_db)
-            return stands(plant, replace(settled, height=height)._designed(plant, part, self), bound)
+            return _peaked(
+                stands(plant, replace(settled, height=height)._designed(plant, part, self), bound), self.peak_db
+            )
         if bound is None:
             return settled._designed(plant, part, self)
 
@@ -274,6 +277,20 @@ def _compared(result: DesignResult, promised: float) -> DesignResult:
     )
     word = StatusWord.SHORT if result.status.ok else result.status.word
     return replace(result, status=Status(word, sentence), details=details)
+
+
+def _peaked(result: DesignResult, peak_db: float) -> DesignResult:
+    """Return a design judged by the peak asked for, which the least height may exceed already."""
+    peak = result.peak_sensitivity_db
+    if result.status.word not in STABLE_WORDS or not peak > peak_db + PEAK_OFF_DB:
+        return result
+    sentence = (
+        f"A peak of {rounded(peak_db)} dB is out of reach: the least height tried, {HEIGHTS[0]:g}, has "
+        f"{rounded(peak)} dB; allow a higher peak, or ask for a narrower band or less steep edges. "
+        f"{result.status.sentence}"
+    )
+    word = StatusWord.SHORT if result.status.ok else result.status.word
+    return replace(result, status=Status(word, sentence))
 
 
 def common_mode(plant: StateSpace) -> StateSpace:
