@@ -122,6 +122,40 @@ def test_a_fraction_of_a_sample_costs_a_fraction():
     assert levels[0] > levels[1] > levels[2]
 
 
+def second_order(damping, gain=1.0, speed=2 * np.pi * 50):
+    """Return a continuous mode, for which cancelling takes a control that grows without end."""
+    A = [[0.0, 1.0], [-(speed**2), -2 * damping * speed]]
+    return StateSpace(A, [[0.0], [speed**2]], [[gain, 0.0]], [[0.0]])
+
+
+SECOND_ORDER = {
+    "well damped": second_order(0.3),
+    "lightly damped": second_order(0.01),
+    "in other units": second_order(0.3, 1e6),
+    "double integrator": StateSpace([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]),
+}
+
+
+@pytest.mark.parametrize("name", SECOND_ORDER)
+def test_a_second_order_plant_has_a_limit_without_a_limit_of_control(name):
+    plant, quiet = SECOND_ORDER[name], (20.0, 100.0)
+    limit = best_flat_attenuation(plant, quiet, basis=20, certify=False)
+    print(limit.status)
+    assert limit.status.ok
+    assert limit.attenuation_db > 40
+    f = np.geomspace(*quiet, 300)
+    assert -20 * np.log10(responses(plant, limit.controller, f)[0].max()) > min(limit.attenuation_db, 60.0) - 0.1
+
+
+@pytest.mark.parametrize("gain", [1e-14, 1e12])
+def test_a_plant_in_any_unit_answers(gain):
+    faint = StateSpace(LAG.A, LAG.B, gain * LAG.C, LAG.D, RATE_HZ)
+    one, other = (best_flat_attenuation(G, (20.0, 100.0), basis=20, certify=False) for G in (LAG, faint))
+    assert other.status.ok, other.status
+    assert other.attenuation_db == pytest.approx(one.attenuation_db, abs=0.01)
+    assert other.control_gain * gain == pytest.approx(one.control_gain, rel=0.01)
+
+
 REFUSED = {
     "peak": (LAG, {"peak_db": -1.0}, "maximum principle"),
     "zero": (StateSpace([[0.9]], [[0.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ), {}, "does not answer"),

@@ -25,6 +25,8 @@ FINER = 4
 QUADRATURE = 1 << 13
 NEGLIGIBLE = 1e-3  # share of a demand by which it may be exceeded between points
 EXCEEDED = 0.01  # from here on a law does not keep the demand, and is no proof of what can be had
+# Of the control gain, where the solver gives up on all of it, and how many of them are to give a solution.
+SHARES, ENOUGH = (0.3, 0.1, 0.03, 0.01, 0.003), 3
 GRIDS = 3  # made after the first where a law exceeds a demand between the points
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 NAMED = 3  # demands that a sentence names; the others it counts
@@ -94,29 +96,63 @@ class LimitSearch:
         start: ConeSolution | None = None,
     ) -> tuple[Limit, FloatArray, ConeSolution]:
         """Return the limit by the demands at the grid's points, where between them one is exceeded, the solution."""
-        scale = wishes.control_gain
-        functions = scale * self.basis.at(self.circle.angles(self.f_hz))
-        demands = wishes.demands(self.f_hz, self.lines)
-        noise = None if noise_gain is None else self._noise(self.basis, scale, noise_gain)
-        solution = solve(functions, demands, noise, start)
+        solution, gain = self._solved(wishes, noise_gain, start)
         if not solution.ok:
-            return refused(self._why(functions, demands, noise, solution)), np.zeros(0), solution
+            return refused(self._why(wishes, noise_gain, solution)), np.zeros(0), solution
+        asked = replace(wishes, control_gain=gain)
+        demands = asked.demands(self.f_hz, self.lines)
         bound = float("nan")
         if certify:
             # the noise gain is no demand at single frequencies: the bound is that of the others
-            others = solution if noise is None else solve_on(functions, demands, solution.active)
+            others = solution
+            if noise_gain is not None:
+                others = solve_on(self._functions(self.basis, gain), demands, solution.active)
             bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
-        half_db = float("nan") if bounded_by else self._half(scale, demands, solution, noise_gain)
-        found, broken = self._judged(wishes, solution, solution.weights * scale, bound, half_db)
+        half_db = float("nan") if bounded_by else self._half(gain, demands, solution, noise_gain)
+        found, broken = self._judged(wishes, solution, gain, bound, half_db)
         if certify and found.status.ok and not np.isfinite(bound):
             found = replace(found, status=Status(StatusWord.NOT_CERTIFIED, found.status.sentence))
         return found, broken, solution
 
-    def _half(self, scale: float, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None) -> float:
+    def _solved(
+        self, wishes: Wishes, noise_gain: float | None, start: ConeSolution | None
+    ) -> tuple[ConeSolution, float]:
+        """Return the solution and the control gain it was sought with, the one allowed or a share of it.
+
+        Q is sought in units of that gain. Where it is far beyond what the band takes, Q is a small difference of large
+        numbers, on which the solver gives up: less of it keeps the demand as well. Of a few such solutions, each good
+        to what rounding leaves, the one with the lowest level is taken.
+        """
+        gain = wishes.control_gain
+        first = self._posed(wishes, noise_gain, start)
+        if first.ok or first.status in INFEASIBLE:
+            return first, gain
+        found: list[tuple[ConeSolution, float]] = []
+        for share in SHARES:
+            solution = self._posed(replace(wishes, control_gain=share * gain), noise_gain, start)
+            found += [(solution, share * gain)] if solution.ok else []
+            if len(found) == ENOUGH:
+                break
+        return min(found, key=lambda f: f[0].level, default=(first, gain))
+
+    def _posed(self, wishes: Wishes, noise_gain: float | None, start: ConeSolution | None) -> ConeSolution:
+        """Return the solution of the programme, its weights those of the basis itself; so are those of the start."""
+        gain = wishes.control_gain
+        noise = None if noise_gain is None else self._noise(self.basis, gain, noise_gain)
+        if start is not None:
+            start = replace(start, weights=start.weights / gain)
+        demands = wishes.demands(self.f_hz, self.lines)
+        solution = solve(self._functions(self.basis, gain), demands, noise, start)
+        return replace(solution, weights=solution.weights * gain)
+
+    def _functions(self, basis: OrthonormalBasis, gain: float) -> ComplexArray:
+        return gain * basis.at(self.circle.angles(self.f_hz))
+
+    def _half(self, gain: float, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None) -> float:
         """Return the attenuation in dB that every other section of the basis reaches on the same points."""
         half = chain(self.poles[::2])
-        noise = None if noise_gain is None else self._noise(half, scale, noise_gain)
-        again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, solution.active, noise)
+        noise = None if noise_gain is None else self._noise(half, gain, noise_gain)
+        again = solve_on(self._functions(half, gain), demands, solution.active, noise)
         return attenuation(again.level) if again.ok else float("nan")
 
     def _noise(self, basis: OrthonormalBasis, scale: float, noise_gain: float) -> FloatArray:
@@ -162,22 +198,23 @@ class LimitSearch:
         return told
 
     def _judged(
-        self, wishes: Wishes, solution: ConeSolution, weights: FloatArray, bound_db: float, half_db: float
+        self, wishes: Wishes, solution: ConeSolution, gain: float, bound_db: float, half_db: float
     ) -> tuple[Limit, FloatArray]:
         """Judge the solution on a finer grid and word it; return where it exceeds a demand there, too."""
         f = _finer(self.f_hz)
         lines = self.loops.at(f)
-        q = weights @ self.basis.at(self.circle.angles(f))
+        q = solution.weights @ self.basis.at(self.circle.angles(f))
         S, size = np.abs(lines.a + lines.b * q), np.abs(lines.c + lines.d * q)
         inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
         level = float(S[inside].max())
         reached = {d.name: d.reached(q, level) for d in wishes.demands(f, lines)}
         over = max(float(r.max()) for r in reached.values()) - 1
         binding = {name: _stretches(f, r >= USED_UP) for name, r in reached.items()}
-        law = self.loops.controller(self.circle.unwarped(self.basis.realised(weights)))
+        law = self.loops.controller(self.circle.unwarped(self.basis.realised(solution.weights)))
         values = attenuation(level), bound_db, 20 * float(np.log10(S.max())), float(size.max())
+        sought = "" if gain == wishes.control_gain else f" that keep |K S| below {gain:.3g}"
         word = StatusWord.OK if over < EXCEEDED else StatusWord.SHORT
-        status = Status(word, self._sentence(solution, *values[:2], over, half_db, binding))
+        status = Status(word, self._sentence(solution, *values[:2], over, half_db, binding, sought))
         broken = f[np.any([r > 1 + NEGLIGIBLE for r in reached.values()], axis=0)]
         return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0)), broken
 
@@ -189,6 +226,7 @@ class LimitSearch:
         over: float,
         half_db: float,
         binding: Mapping[str, Stretches],
+        sought: str,
     ) -> str:
         low, high = self.band_hz
         bound = f"none exceeds {bound_db:.1f} dB" if np.isfinite(bound_db) else "no bound was certified"
@@ -199,15 +237,16 @@ class LimitSearch:
         return (
             f"{_reached(attenuation_db, f'{low:.4g}-{high:.4g} Hz')}, {bound}; used up: "
             f"{', '.join(used[:NAMED]) or 'nothing'}{more}; {kept} on a grid four times as fine; {solution.found} "
-            f"after {solution.rounds} grids among controllers of {self.basis.size} functions{less}."
+            f"after {solution.rounds} grids among controllers of {self.basis.size} functions{sought}{less}."
         )
 
-    def _why(
-        self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, solution: ConeSolution
-    ) -> str:
+    def _why(self, wishes: Wishes, noise_gain: float | None, solution: ConeSolution) -> str:
         """Name the demands without which there is a solution."""
         if solution.status not in INFEASIBLE:
             return f"{WHO}: {solution.found}; ask for less basis or a milder demand."
+        functions = self._functions(self.basis, wishes.control_gain)
+        demands = wishes.demands(self.f_hz, self.lines)
+        noise = None if noise_gain is None else self._noise(self.basis, wishes.control_gain, noise_gain)
         guilty = [
             demand.name
             for k, demand in enumerate(demands)
