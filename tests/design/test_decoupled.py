@@ -7,6 +7,7 @@ from named_plants import bench_like, sensitivity_db
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.design import BandAttenuation, Decoupled, threefold
+from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, gain, series
 
 
@@ -58,8 +59,6 @@ def test_equal_blocks_share_their_law(ground):
 
 def test_a_hidden_transform_is_found(rng):
     T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    from ultraquiet.values import StateSpace
-
     parts = [
         StateSpace([[a]], [[1 - a]], [[g]], [[0.0]], rate_hz=3500.0) for a, g in ((0.9, 1.0), (0.95, 3.0), (0.8, 0.3))
     ]
@@ -92,3 +91,32 @@ def test_other_methods_and_bad_input(ground):
         Decoupled(settings={"wrong": 1.0}).design(ground)
     with pytest.raises(InputError, match="Nyquist"):
         Decoupled(band_hz=(10.0, 3000.0)).design(ground)
+
+
+@pytest.mark.parametrize(("rate_hz", "pole", "unit"), [(100.0, 1.01, 1.0), (100.0, 1.0, 1e-6), (None, 1.0, 1e5)])
+def test_unstable_modes_of_other_channels_are_none_of_a_channel(rng, rate_hz, pole, unit):
+    """Channels of one unstable or integrating mode each, mixed: every one gets the law that it gets alone."""
+    one = StateSpace([[pole]], [[0.1 if rate_hz else 1.0]], [[unit]], [[0.0]], rate_hz=rate_hz)
+    T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    three = append(one, one, one)
+    mixed = StateSpace(three.A, three.B @ T.T, T @ three.C, three.D, rate_hz)
+    method = Decoupled(settings={"band_hz": (1.0, 5.0)})
+    alone, apart, together = (method.design(plant) for plant in (one, three, mixed))
+    f = np.geomspace(0.1, 40.0, 20)
+    law = alone.controller.frequency_response(f)[0, 0]
+    for result in (apart, together):
+        print(result.status)
+        assert result.status.word == alone.status.word
+        off = result.controller.frequency_response(f) - np.eye(3)[:, :, None] * law
+        assert np.abs(off).max() < 1e-5 * np.abs(law).max()
+
+
+def test_unstable_modes_that_differ_stay_with_their_channels(rng):
+    parts = [
+        StateSpace([[a]], [[0.1]], [[c]], [[0.0]], rate_hz=100.0) for a, c in ((1.02, 1.0), (1.0, 2.0), (0.9, 0.5))
+    ]
+    T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    plant = series(series(gain(T.T, 100.0), append(*parts)), gain(T, 100.0))
+    result = Decoupled(settings={"band_hz": (1.0, 5.0)}).design(plant)
+    assert result.status.ok, result.status
+    assert len(result.details["blocks"]) == 3

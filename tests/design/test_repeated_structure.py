@@ -5,6 +5,7 @@ import pytest
 
 from ultraquiet.design import BandAttenuation
 from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import append
 
 RATE = 2000.0
 SETTINGS = {"band_hz": (20.0, 80.0), "height": 6.0, "order": 4, "control_limit": 100.0, "structure": "alike"}
@@ -33,3 +34,17 @@ def test_directions_that_answer_less_are_said_to_break_it(spread, word):
     assert promised - left > 3.0
     assert f"{left:.1f} dB are left" in result.status.sentence
     assert f"{promised:.1f} dB" in result.status.sentence
+
+
+@pytest.mark.parametrize(("rate_hz", "pole", "unit"), [(100.0, 1.01, 1.0), (100.0, 1.03, 1e-6), (None, 1.0, 1e5)])
+def test_alike_channels_that_are_unstable_get_the_law_of_one(rate_hz, pole, unit):
+    one = StateSpace([[pole]], [[0.1 if rate_hz else 1.0]], [[unit]], [[0.0]], rate_hz=rate_hz)
+    method = BandAttenuation(band_hz=(1.0, 5.0), structure="repeated", order=2)
+    alone, all_of_them = method.design(one), method.design(append(one, one, one))
+    f = np.geomspace(0.1, 40.0, 20)
+    law = alone.controller.frequency_response(f)[0, 0]
+    off = all_of_them.controller.frequency_response(f) - np.eye(3)[:, :, None] * law
+    assert alone.status.word == all_of_them.status.word
+    # to what the search for the smallest norm leaves open
+    assert np.abs(off).max() < 1e-2 * np.abs(law).max()
+    assert all_of_them.gamma == pytest.approx(alone.gamma, rel=1e-2)

@@ -55,3 +55,19 @@ def _sum(first: Matrices, second: Matrices) -> Matrices:
     n, m = len(A), len(a)
     both = np.block([[A, np.zeros((n, m))], [np.zeros((m, n)), a]])
     return both, np.vstack([B, b]), np.hstack([C, c]), D + d
+
+
+def designed_for(plant: StateSpace) -> StateSpace:
+    """Return the mean channel of a plant, without modes of an unstable one that it neither sees nor moves.
+
+    Modes of differences between its channels are none of the shared function's; the same law on every channel meets
+    them there as it meets those that are shared.
+
+    Raises:
+        InputError: the plant has not as many outputs as inputs.
+    """
+    part = mean_channel(plant)
+    if plant.is_stable() or plant.D.shape == (1, 1):
+        return part
+    M = balance.without_hidden((part.A, part.B, part.C, part.D), NEGLIGIBLE, discrete=plant.rate_hz is not None)
+    return StateSpace(*M, rate_hz=plant.rate_hz)

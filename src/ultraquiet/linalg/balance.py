@@ -5,13 +5,14 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_sylvester
+from scipy.linalg import LinAlgError, block_diag, solve_sylvester
 from scipy.linalg.lapack import dgesdd, dpstrf  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse.csgraph import connected_components
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.linalg.equations import lyapunov_both, stein, stein_factor
+from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
@@ -20,6 +21,8 @@ BOUNDARY = 1e-12  # of the size of A: as far as rounding may put an integrator o
 # As large a coupling belongs to two halves of a repeated pole, as of a double integrator, which rounding sends apart.
 TOGETHER = 1e5
 NEAREST = 1e-6  # conjugates are no nearer to the boundary than each other
+HIDDEN = 1e-12  # of the largest Hankel value: below it a state is moved or seen by round-off alone
+SLOWED = 1.1  # the shortest memory in which states that grow or stay are told apart
 PARALLEL = 1e-6  # eigenvectors of unit size whose product is this near one count as parallel
 ROOT_TWO = np.sqrt(2.0)
 
@@ -119,12 +122,44 @@ def truncate(M: Matrices, left: Array, right: Array) -> Matrices:
     return left @ A @ right, left @ B, C @ right, D.copy()
 
 
-def without_faint(M: Matrices, share: float, discrete: bool) -> Matrices:
-    """Return a stable system without the states whose Hankel values are below a share of the largest."""
+def without_faint(M: Matrices, share: float, discrete: bool, least: float = 0.0) -> Matrices:
+    """Return a stable system without the states whose Hankel values are below a share of the largest, or the least."""
     P, Q = gramians(*M[:3], discrete=discrete)
     values = balancing(P, Q, 0)[2]
-    left, right, _ = balancing(P, Q, int(np.sum(values > share * values.max(initial=0.0))))
+    left, right, _ = balancing(P, Q, int(np.sum(values > max(share * values.max(initial=0.0), least))))
     return truncate(M, left, right)
+
+
+def without_hidden(M: Matrices, share: float, discrete: bool) -> Matrices:
+    """Return a system without stable states at faint Hankel values, and without others that are not moved or not seen.
+
+    States that are unstable, or at the boundary, have no Gramians of their own. Slowed down by a common factor they
+    have, and what moves and sees them is the same; below `HIDDEN` of the largest value nothing does.
+    """
+    A, B, C, D = M
+    d = even_scale(A, B, C)
+    A, B, C = A * d / d[:, None], B / d[:, None], C * d
+    T, inverse, count = stable_first(A, discrete, BOUNDARY)
+    A, B, C = inverse @ A @ T, inverse @ B, C @ T
+    slowed = _slowed(A, discrete)
+    least = HIDDEN * balancing_by(*gramian_factors(slowed, B, C, discrete), 0)[2].max(initial=0.0)
+    stable = without_faint((A[:count, :count], B[:count], C[:, :count], D), share, discrete, least)
+    rest = (A[count:, count:], B[count:], C[:, count:], np.zeros(D.shape))
+    R, L = gramian_factors(slowed[count:, count:], *rest[1:3], discrete=discrete)
+    left, right, _ = balancing_by(R, L, int(np.sum(balancing_by(R, L, 0)[2] > least)))
+    a, b, c, _ = truncate(rest, left, right)
+    return np.asarray(block_diag(stable[0], a)), np.vstack([stable[1], b]), np.hstack([stable[2], c]), D.copy()
+
+
+def _slowed(A: Array, discrete: bool) -> Array:
+    """Return A / r or A - r I with r a little beyond its spectral radius or abscissa."""
+    if not A.size:
+        return A
+    values = np.linalg.eigvals(A)
+    if discrete:
+        return A / (SLOWED * (np.abs(values).max() or 1.0))
+    size = np.abs(values).max() or np.linalg.norm(A) or 1.0
+    return A - (max(values.real.max(), 0.0) + (SLOWED - 1) * size) * np.eye(len(A))
 
 
 def residualize(M: Matrices, keep: int, discrete: bool) -> Matrices:

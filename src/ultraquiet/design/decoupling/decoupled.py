@@ -268,11 +268,10 @@ def turned(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpace
 
 
 def portion(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpace:
-    """Return left' G right without the states that it neither sees nor moves; an unstable plant keeps them all."""
+    """Return left' G right without the states that it neither sees nor moves, be they unstable."""
     whole = turned(plant, left, right)
-    if not plant.is_stable():
-        return whole
-    M = balance.without_faint((whole.A, whole.B, whole.C, whole.D), NEGLIGIBLE, discrete=plant.rate_hz is not None)
+    without = balance.without_faint if plant.is_stable() else balance.without_hidden
+    M = without((whole.A, whole.B, whole.C, whole.D), NEGLIGIBLE, discrete=plant.rate_hz is not None)
     return StateSpace(*M, rate_hz=plant.rate_hz)
 
 

@@ -17,7 +17,7 @@ from ultraquiet.design.gain_search import from_plant, without_weights
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_calm
 from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
-from ultraquiet.design.mean_channel import mean_channel, require_square
+from ultraquiet.design.mean_channel import designed_for, require_square
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
@@ -144,7 +144,7 @@ class BandAttenuation(StatedRobustness):
         require_square("BandAttenuation", plant)
         n = plant.D.shape[0]
         bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, n, plant.rate_hz)
-        part = plant if self.structure == FULL else mean_channel(plant)
+        part = plant if self.structure == FULL else designed_for(plant)
         settled = self.settled(plant)  # for the whole plant, also where a part of it is designed for
         if self.peak_db is not None:
             height = _height_for_peak(settled, part, plant, self.peak_db)
