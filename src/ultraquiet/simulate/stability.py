@@ -129,7 +129,7 @@ def check_stability(
         if seen.word is StatusWord.OK:
             seen = sticking(bench, controller, bursts, seen) or ramping(bench, _linear(controller), seen) or seen
     except UltraquietError as error:
-        if isinstance(error, BenchError) and not of_the_loop(error):
+        if error.of_question or (isinstance(error, BenchError) and not of_the_loop(error)):
             raise  # a cable, a machine that came too late, an emergency stop: they say nothing of the law
         silent = [np.full(len(c), np.nan) for c in (bench.sensors, bench.actuators)]
         status = Status(StatusWord.UNSTABLE, f"The loop runs away on this bench: {error}")
