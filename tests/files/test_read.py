@@ -313,3 +313,18 @@ def test_signals_in_memory_start_together():
     assert files.from_sep005([force, speed | {"time": 5.0 + stamps}], "force", "speed").rate_hz == 1000.0
     with pytest.raises(InputError, match=r"do not start together: force \(5 s\), speed \(0 s\)"):
         files.from_sep005([force, speed], "force", "speed")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".h5"])
+def test_columns_and_rates_may_be_numbers_of_numpy_and_nothing_else(tmp_path, suffix):
+    u, y = np.random.default_rng(0).standard_normal((2, 50))
+    path = files.export_record(Record(u, y, 1000.0), tmp_path / f"run{suffix}")
+    first, last = (2, 3) if suffix == ".csv" else (1, 1)  # of an archive each side is counted
+    record = read(path, np.float32(1000.0), np.int64(first), [np.uint8(last)])
+    assert record.hash == read(path, "1000", first, last).hash
+    for odd in (1.5, [1.5], [None], b"u", {"u": 1}.items()):
+        with pytest.raises(InputError, match="a column is chosen by its name or by its number from one, got"):
+            read(path, inputs=odd, outputs=last)
+    for odd in ("fast", [1000.0], -1.0, np.nan):
+        with pytest.raises(InputError, match="read_record: 'rate_hz' must be"):
+            read(path, odd, first, last)

@@ -33,7 +33,7 @@ def assemble(
         raise InputError(f"read_record: the columns chosen from '{table.path}' differ in length: {lengths}.")
     rate = table.rate_hz(columns) if rate_hz is None else rate_hz
     # Checked here already: the cut and the starts are counted in samples.
-    positive("read_record", "rate_hz", rate, "Hz")
+    rate = positive("read_record", "rate_hz", rate, "Hz")
     # Stamps that a given rate overrides tell no start either.
     _together(table, columns, rate, [table.start_s(c) if rate_hz is None else c.start_s for c in columns])
     rows = _rows(table, columns[0].values.size, rate, crop_s)

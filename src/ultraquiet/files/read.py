@@ -60,6 +60,7 @@ def read_record(
     (2.0, 'strut 2', 'V', [[0.0, 2.0], [0.0, 3.0]])
     """
     table, archived, parents = _opened(path)
+    rate_hz = None if rate_hz is None else positive("read_record", "rate_hz", rate_hz, "Hz")
     if mapping is not None:
         if inputs is not None or outputs is not None:
             raise InputError("read_record: a mapping says what goes in and out; leave inputs and outputs to it.")
@@ -92,7 +93,7 @@ def read_record(
 def _agreed(table: FileTable, picked: Picked, rate_hz: float | None) -> float | None:
     if rate_hz is None:
         return None
-    return table.agreed_hz((*picked[0], *picked[1]), positive("read_record", "rate_hz", rate_hz, "Hz"))
+    return table.agreed_hz((*picked[0], *picked[1]), rate_hz)
 
 
 def read_table(path: _Path) -> FileTable:

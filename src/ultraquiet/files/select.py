@@ -1,8 +1,10 @@
 """Which columns of a file go in and which come out: by name, by number, or by what the names say themselves."""
 
 import re
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import NO_LINE
@@ -73,11 +75,9 @@ def _refuse(table: FileTable, said: Sequence[str]) -> None:
 
 
 def _looked_up(table: FileTable, choice: Choice) -> _LookedUp:
-    if isinstance(choice, int | str):
-        whole = str(choice)
-        items = [whole] if _called(table, whole) else whole.split(",")
-    else:
-        items = [str(item) for item in choice or ()]
+    items = _items_of(choice)
+    if isinstance(choice, str) and not _called(table, choice):
+        items = choice.split(",")
     found = _LookedUp([], [], [])
     for item in (item.strip() for item in items):
         try:
@@ -94,6 +94,19 @@ def _looked_up(table: FileTable, choice: Choice) -> _LookedUp:
     if twice:
         found.refused.append(f"read_record: '{twice[0]}' was chosen twice; name every column once.")
     return found
+
+
+def _items_of(choice: Any) -> list[str]:
+    """Return the names and numbers of a choice, numbers of NumPy's among them."""
+    listed = isinstance(choice, Iterable) and not isinstance(choice, str | bytes)
+    items = [] if choice is None else list(choice) if listed else [choice]
+    odd = [item for item in items if not isinstance(item, str | int | np.integer)]
+    if odd:
+        raise InputError(
+            f"read_record: a column is chosen by its name or by its number from one, got {odd[0]!r}; give one "
+            f"of these, or a list of them."
+        )
+    return [str(item) for item in items]
 
 
 def _called(table: FileTable, item: str) -> list[Column]:
