@@ -328,3 +328,12 @@ def test_columns_and_rates_may_be_numbers_of_numpy_and_nothing_else(tmp_path, su
     for odd in ("fast", [1000.0], -1.0, np.nan):
         with pytest.raises(InputError, match="read_record: 'rate_hz' must be"):
             read(path, odd, first, last)
+
+
+@pytest.mark.parametrize("rate_hz", [1e4 / 3, 3500.0, 1 / 7, np.pi, 44100.0, 2e5 / 7])
+@pytest.mark.parametrize("samples", [50, 1000])
+def test_a_rate_of_any_digits_outlasts_its_stamps(tmp_path, rng, rate_hz, samples):
+    record = Record(rng.standard_normal((3, samples)), rng.standard_normal((2, samples)), rate_hz)
+    back = read(files.export_record(record, tmp_path / "run.csv"))
+    assert back.rate_hz == rate_hz
+    assert back.hash == record.hash

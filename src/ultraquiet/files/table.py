@@ -28,6 +28,7 @@ UNIT = re.compile(
 )
 MOST_COLUMNS = 10_000  # the largest arrays of sensors have hundreds
 MOST_DIGITS = 17  # that a float64 needs in decimal
+NEIGHBOURS = 4  # floats to either side of a quotient of stamps, one of which is the rate that they were written by
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,14 +230,18 @@ def _around(column: Column) -> list[str]:
 
 
 def _roundest_clock(t: FloatArray, rate_hz: float) -> float:
-    """Return the number of fewest digits that explains rounded stamps as well as the quotient of first and last."""
+    """Return the number of fewest digits that explains rounded stamps as well as the quotient of first and last.
+
+    One that gives the very stamps comes first: so a rate that was written as stamps comes back with all its bits.
+    """
     k = np.arange(t.size)
+    plain = [p for digits in range(1, MOST_DIGITS) if (p := float(f"{rate_hz:.{digits}g}")) > 0]
+    beside = rate_hz + np.spacing(rate_hz) * np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
+    exact = next((hz for hz in (*plain, *beside.tolist()) if np.array_equal(k / hz, t)), None)
+    if exact is not None:
+        return exact
     error = np.abs(t - t[0] - k / rate_hz).max() + 4 * np.spacing(np.abs(t).max())
-    for digits in range(1, MOST_DIGITS):
-        plain = float(f"{rate_hz:.{digits}g}")
-        if plain > 0 and np.abs(t - t[0] - k / plain).max() <= error:
-            return plain
-    return rate_hz
+    return next((hz for hz in plain if np.abs(t - t[0] - k / hz).max() <= error), rate_hz)
 
 
 def rate_of_step(step_s: float, printed: str = ".17g") -> float:
