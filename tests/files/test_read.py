@@ -337,3 +337,12 @@ def test_a_rate_of_any_digits_outlasts_its_stamps(tmp_path, rng, rate_hz, sample
     back = read(files.export_record(record, tmp_path / "run.csv"))
     assert back.rate_hz == rate_hz
     assert back.hash == record.hash
+
+
+def test_a_single_sample_is_written_where_it_can_be_read(tmp_path):
+    record = Record([[1.0]], [[2.0]], 1000.0)
+    with pytest.raises(InputError, match=r"of a single sample no stamps tell the rate; write .h5, .mat or .uff"):
+        files.export_record(record, tmp_path / "run.csv")
+    assert not list(tmp_path.iterdir())
+    for suffix in (".h5", ".mat", ".uff"):
+        assert read(files.export_record(record, tmp_path / f"run{suffix}")).hash == record.hash

@@ -111,6 +111,8 @@ def _named_columns(before: Sequence[str], delimiter: str | None, rows: FloatArra
 
 def write_text(record: Record) -> bytes:
     """Return time, inputs and outputs as CSV; every float keeps all its bits, names begin with `u ` or `y `."""
+    if record.samples < 2:
+        raise InputError("export_record: of a single sample no stamps tell the rate; write .h5, .mat or .uff.")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     # The marks tell roles on reading, and part an actuator from the sensor of the same name.
