@@ -138,6 +138,18 @@ def test_refusals(rng):
         uq.spectra.best_linear([pair, pair], 700)
 
 
+def test_lines_and_sensors_that_do_not_fit_are_told():
+    u = uq.signals.Multisine(start_hz=5, stop_hz=40, period_samples=100, peak=1).generate(500, 100.0, seed=1)
+    record = uq.Record(u, [u, 2 * u], 100.0)
+    for lines in ([60.0], [50.0, 70.0], []):
+        with pytest.raises(uq.errors.InputError, match="'lines_hz' must hold a line below half the rate, 50 Hz"):
+            uq.spectra.best_linear(record, 100, lines_hz=lines)
+    assert uq.spectra.best_linear(record, 100, lines_hz=[10.0, 60.0]).response.f_hz.tolist() == [10.0]
+    one, two = uq.Record([u, 0 * u], [u, u], 100.0), uq.Record([0 * u, u], u, 100.0)
+    with pytest.raises(uq.errors.InputError, match="record 2 has 1 sensor, record 1 has 2; pick the same ones"):
+        uq.spectra.periodic_response([one, two], 100)
+
+
 def test_few_realisations_are_said_to_be_few(seed):
     u = [uq.signals.Multisine(period_samples=700).generate(2100, RATE_HZ, seed + k) for k in range(3)]
     found = uq.spectra.best_linear([uq.Record(x, x, RATE_HZ) for x in u], 700)

@@ -169,7 +169,10 @@ def _lines(
             raise InputError(
                 f"{WHO}: 'lines_hz' must be multiples of {first.rate_hz / period:g} Hz above 0; 0 Hz is an offset."
             )
-        return lines[lines < period / 2]
+        lines = lines[lines < period / 2]
+        if not lines.size:
+            raise InputError(f"{WHO}: 'lines_hz' must hold a line below half the rate, {first.rate_hz / 2:g} Hz.")
+        return lines
     alive = np.ones(period // 2 + 1, dtype=bool)
     for group in spectra:
         excited = np.zeros_like(alive)

@@ -45,9 +45,14 @@ def periodic_response(records: Sequence[Record], period_samples: int, settle_per
     period = whole("periodic_response", "period_samples", period_samples, 2)
     if not records:
         raise InputError("periodic_response: no records were given; one per actuator is needed.")
-    parts = [_one(k, r, len(records), period, settle_periods) for k, r in enumerate(records)]
     for k, record in enumerate(records):
         same_rate("periodic_response", "record 1", records[0].rate_hz, f"record {k + 1}", record.rate_hz)
+        if len(record.sensors) != len(records[0].sensors):
+            raise InputError(
+                f"periodic_response: record {k + 1} has {counted(len(record.sensors), 'sensor')}, record 1 has "
+                f"{len(records[0].sensors)}; pick the same ones of all (Record.pick)."
+            )
+    parts = [_one(k, r, len(records), period, settle_periods) for k, r in enumerate(records)]
     lines = np.flatnonzero(np.logical_and.reduce([alive for alive, _, _ in parts]))
     if lines.size == 0:
         raise InputError("periodic_response: the records share no excited line; excite all actuators alike.")
