@@ -72,3 +72,15 @@ def test_a_long_record_of_arguments_of_another_kind_is_refused(pair, given):
     ((name, _),) = given.items()
     with pytest.raises(InputError, match=f"^LongRecord: '{name}' must be"):
         LongRecord(**{"path": pair[0].path, **given})
+
+
+@pytest.mark.parametrize(("channels", "samples"), [((5, 5), 4), ((4, 3), 2), ((1, 1), 1), ((3, 5), 5), ((3, 5), 4)])
+def test_fewer_samples_than_channels_are_read_as_they_were_written(tmp_path, rng, channels, samples):
+    record = uq.Record(rng.standard_normal((channels[0], samples)), rng.standard_normal((channels[1], samples)), 500.0)
+    with LongWriter(tmp_path / "few.h5", 500.0, *channels, precision="float64") as file:
+        for k in range(samples):
+            file.append(record.inputs[:, k : k + 1], record.outputs[:, k : k + 1])
+    long = LongRecord(tmp_path / "few.h5")
+    assert (long.samples, len(long.actuators), len(long.sensors)) == (samples, *channels)
+    assert long.part().hash == record.hash
+    assert np.array_equal(long.pick(outputs=[-1]).part().outputs, record.outputs[-1:])

@@ -59,6 +59,7 @@ class LongRecord:
     sensors: tuple[Channel, ...]
     _places: tuple[str, str] = field(repr=False)
     _rows: tuple[tuple[int, ...], tuple[int, ...]] = field(repr=False)
+    _ours: bool = field(repr=False)  # of `LongWriter`, whose samples go along a row however few they are
 
     def __init__(
         self, path: _Path, inputs: str = "inputs", outputs: str = "outputs", rate_hz: float | None = None
@@ -73,7 +74,8 @@ class LongRecord:
         put(self, "_places", (inputs, outputs))
         with _opened(self.path) as file:
             attributes = dict(file.attrs)
-            shapes = [_shape(self.path, file, name) for name in self._places]
+            put(self, "_ours", attributes.get("format") == FORMAT)
+            shapes = [_shape(self.path, file, name, self._ours) for name in self._places]
         rate_hz = attributes.get("rate_hz") if rate_hz is None else rate_hz
         if isinstance(rate_hz, np.ndarray) and rate_hz.size == 1:  # some programs know no attribute but arrays
             rate_hz = rate_hz.item()
@@ -83,7 +85,7 @@ class LongRecord:
         if shapes[0][1] != shapes[1][1]:
             raise InputError(f"LongRecord: inputs have {shapes[0][1]} samples but outputs have {shapes[1][1]}.")
         put(self, "samples", shapes[0][1])
-        if attributes.get("format") == FORMAT and attributes.get("samples") != self.samples:
+        if self._ours and attributes.get("samples") != self.samples:
             raise StorageError(f"LongRecord: '{self.path}' was not finished: its writer stopped before the end.")
         named = _named(self.path, attributes.get("channels"))
         for kind, name, (count, _), declared in zip(
@@ -171,7 +173,7 @@ class LongRecord:
         try:
             if dataset.ndim == 1:
                 out[0] = dataset[start:stop]
-            elif dataset.shape[0] > dataset.shape[1]:
+            elif dataset.shape[0] > dataset.shape[1] and not self._ours:
                 out[:] = dataset[start:stop][:, list(rows)].T
             else:
                 for k, row in enumerate(rows):
@@ -206,8 +208,8 @@ def _opened(path: Path) -> Any:
         raise StorageError(f"LongRecord: '{path}' {why} ({reason(error)}).") from error
 
 
-def _shape(path: Path, file: Any, name: str) -> tuple[int, int]:
-    """Return channels and samples of a dataset."""
+def _shape(path: Path, file: Any, name: str, ours: bool) -> tuple[int, int]:
+    """Return channels and samples of a dataset; of one that is not ours the longer axis is time."""
     import h5py
 
     if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
@@ -223,7 +225,9 @@ def _shape(path: Path, file: Any, name: str) -> tuple[int, int]:
     shape = file[name].shape
     if len(shape) not in (1, 2) or file[name].dtype.kind not in "fiu" or math.prod(shape) == 0:
         raise InputError(f"LongRecord: '{name}' in '{path}' has shape {shape}; numbers (channel, sample) are needed.")
-    return (1, shape[0]) if len(shape) == 1 else (min(shape), max(shape))
+    if len(shape) == 1:
+        return 1, shape[0]
+    return (shape[0], shape[1]) if ours else (min(shape), max(shape))
 
 
 def _named(path: Path, text: Any) -> tuple[list[Channel] | None, list[Channel] | None]:
