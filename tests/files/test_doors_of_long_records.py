@@ -84,3 +84,21 @@ def test_fewer_samples_than_channels_are_read_as_they_were_written(tmp_path, rng
     assert (long.samples, len(long.actuators), len(long.sensors)) == (samples, *channels)
     assert long.part().hash == record.hash
     assert np.array_equal(long.pick(outputs=[-1]).part().outputs, record.outputs[-1:])
+
+
+def test_a_channel_may_stand_by_itself_and_what_is_refused_leaves_nothing(tmp_path):
+    with LongWriter(tmp_path / "run.h5", 500.0, "force", uq.Channel("speed", "m/s")) as file:
+        file.append(np.ones((1, 9)), np.ones((1, 9)))
+    long = LongRecord(tmp_path / "run.h5")
+    assert [c.label for c in (*long.actuators, *long.sensors)] == ["force", "speed (m/s)"]
+    before = list(tmp_path.iterdir())
+    for words, given in (
+        ("'rate_hz' must be above zero", {"rate_hz": 0.0}),
+        ("'rate_hz' must be a number", {"rate_hz": "fast"}),
+        ("'inputs' must be at least 1", {"inputs": 0}),
+        ("'inputs' must be a whole number", {"inputs": 1.5}),
+        ("'outputs' must name at least one channel", {"outputs": []}),
+    ):
+        with pytest.raises(InputError, match=f"^LongWriter: {words}"):
+            LongWriter(**{"path": tmp_path / "run.h5", "rate_hz": 500.0, "inputs": 1, "outputs": 1, **given})
+        assert list(tmp_path.iterdir()) == before

@@ -4,9 +4,10 @@ import contextlib
 import json
 import os
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -25,11 +26,12 @@ class LongWriter:
     Args:
         path: the file.
         rate_hz: samples per second.
-        inputs, outputs: channels, their names, or how many.
+        inputs, outputs: channels, their names, or how many; a single one may stand by itself.
         precision: "float32" (half the disk, 24 bits: beyond any converter) or "float64".
         overwrite: False refuses a name that is taken.
 
     Raises:
+        InputError: no rate above zero, no channels.
         StorageError: the disk is full, the folder missing, the name taken; what was there before is untouched.
     """
 
@@ -37,24 +39,26 @@ class LongWriter:
         self,
         path: str | os.PathLike[str],
         rate_hz: float,
-        inputs: int | Sequence[Channel | str],
-        outputs: int | Sequence[Channel | str],
+        inputs: int | str | Channel | Sequence[Channel | str],
+        outputs: int | str | Channel | Sequence[Channel | str],
         precision: str = "float32",
         overwrite: bool = True,
     ) -> None:
         one_of("LongWriter", "precision", precision, ("float32", "float64"))
+        rate_hz = positive("LongWriter", "rate_hz", rate_hz, "Hz")
         self._path, self._overwrite, self._samples = Path(path), overwrite, 0
         if not overwrite and self._path.exists():
             raise name_taken(path)
         self._part = self._path.with_name(f".{self._path.name[:200]}.{secrets.token_hex(6)}.part")
         self.actuators = _wires(inputs, "input")
         self.sensors = _wires(outputs, "output")
+        named = json.dumps([channel_rows(w) for w in (self.actuators, self.sensors)])
         with _writing(self._path):
             import h5py
 
             self._file = h5py.File(self._part, "w")
-            self._file.attrs["format"], self._file.attrs["rate_hz"] = FORMAT, positive("LongWriter", "rate_hz", rate_hz)
-            self._file.attrs["channels"] = json.dumps([channel_rows(w) for w in (self.actuators, self.sensors)])
+            self._file.attrs["format"], self._file.attrs["rate_hz"] = FORMAT, rate_hz
+            self._file.attrs["channels"] = named
             self._datasets = [
                 self._file.create_dataset(
                     name,
@@ -99,10 +103,13 @@ class LongWriter:
                 self._part.unlink()
 
 
-def _wires(wires: int | Sequence[Channel | str], prefix: str) -> tuple[Channel, ...]:
-    if isinstance(wires, int):
+def _wires(wires: Any, prefix: str) -> tuple[Channel, ...]:
+    if not isinstance(wires, str | Channel | Iterable):
         return channels("LongWriter", None, whole("LongWriter", f"{prefix}s", wires, 1), prefix)
-    return channels("LongWriter", wires, len(wires), prefix)
+    listed = [wires] if isinstance(wires, str | Channel) else list(wires)
+    if not listed:
+        raise InputError(f"LongWriter: '{prefix}s' must name at least one channel, got none.")
+    return channels("LongWriter", listed, len(listed), prefix)
 
 
 @contextlib.contextmanager
