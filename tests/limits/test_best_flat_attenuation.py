@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from limit_plants import RATE_HZ, band, modal, responses
+from scipy.sparse.linalg import ArpackError
 
 import ultraquiet as uq
+from ultraquiet._base.errors import NumericalError
 from ultraquiet.design import common_mode
-from ultraquiet.limits import best_flat_attenuation, grid, search, waterbed_peak
+from ultraquiet.limits import best_flat_attenuation, certificate, grid, search, waterbed_peak
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback
 
@@ -237,6 +239,52 @@ def test_a_circle_that_tells_nothing_is_followed_by_the_next(monkeypatch):
     assert found[0] == pytest.approx(20.0)
     assert np.isposinf(found[1])
     assert np.isnan(found[2])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6, 1e-6])
+@pytest.mark.parametrize(("quiet_hz", "basis"), [((48.02, 49.98), 30), ((48.3, 49.7), 60), ((48.755, 49.245), 60)])
+def test_a_band_about_one_tone_has_a_limit_or_none_and_no_end(unit, quiet_hz, basis):
+    """Its few lines are met to rounding, where a level is nothing or less."""
+    turn = 2 * np.pi * 49.0 / RATE_HZ
+    A = 0.98 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    plant = StateSpace(A, [[0.05 * unit], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=RATE_HZ)
+    limit = best_flat_attenuation(plant, quiet_hz, 6.0, control_gain=100.0 / unit, basis=basis)
+    print(limit.status)
+    assert limit.status.word in ("ok", "not certified")
+    assert np.isnan(limit.bound_db) or limit.bound_db >= limit.attenuation_db
+
+
+def merged(size=1.0):
+    """Demands on equal angles of |1 + b Q| in a band and of |Q| over the axis, and weights of both."""
+    angles = np.linspace(0, np.pi, 513)
+    share = certificate.ramp(angles, 0.4, 1.2, 40)
+    one = np.ones(angles.size)
+    demands = [certificate.Merged(one + 0j, size * np.exp(-1j * angles), 2.0 ** (1 - share) * one, share)]
+    demands.append(certificate.Merged(0j * one, size + 0j * one, 4.0 * one))
+    return demands, np.full((2, angles.size), 0.5)
+
+
+@pytest.mark.parametrize("reached", [0.0, -1e-24, np.nan])
+def test_of_a_level_that_rounding_reaches_no_bound_is_told(reached):
+    assert np.isnan(certificate.lowest_level(*merged(), reached))
+
+
+@pytest.mark.parametrize(("size", "level"), [(1.0, -1e-24), (1.0, 1e-300), (1e200, 0.5), (1e-160, 0.5)])
+def test_what_leaves_the_range_of_numbers_proves_nothing(size, level):
+    norm, tail = certificate.hankel_measure(*merged(size), level)
+    print(norm, tail)
+    assert not (norm <= 1 and tail <= certificate.LARGEST_TAIL)
+    if level > 0:
+        assert not certificate.lowest_level(*merged(size), level) > 0
+
+
+def test_a_norm_that_is_not_found_is_said(monkeypatch):
+    def failing(*_, **__):
+        raise ArpackError(-9999)
+
+    monkeypatch.setattr("scipy.sparse.linalg.eigsh", failing)
+    with pytest.raises(NumericalError, match="the norm that proves a bound was not found"):
+        certificate.hankel_measure(*merged(), 0.5)
 
 
 def test_a_limit_that_was_to_be_certified_and_was_not_says_so(monkeypatch):

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import NumericalError
 
 LARGEST_TAIL = 2e-3  # of the last Fourier coefficients kept, relative to the largest: the circle is fine enough
 LANCZOS = 40
@@ -66,20 +67,27 @@ def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float)
     Args:
         demands: on equal angles from 0 to pi.
         weights: `(demands, angles)`, adding up to one.
-        reached: a level that some Q meets.
+        reached: a level that some Q meets. Of the few lines of a narrow band a solver may meet it to rounding, by
+            nothing or less: then there is no level below, and nan.
+
+    Raises:
+        NumericalError: as `hankel_measure`.
     """
     from scipy.optimize import brentq
 
+    if not reached > 0:
+        return float("nan")
     norm, tail = hankel_measure(demands, weights, reached)
-    if norm > 1 or tail > LARGEST_TAIL:
+    if not (norm <= 1 and tail <= LARGEST_TAIL):
         return float("nan")
     norms = {0.0: norm}  # by the level in dB above what is reached
 
     def excess(level_db: float) -> float:
         if level_db not in norms:
             norms[level_db] = hankel_measure(demands, weights, reached * 10 ** (level_db / 20))[0]
-        # one is no proof yet
-        return float(np.log(np.clip(norms[level_db], 1 / FURTHEST, FURTHEST))) or -np.finfo(float).eps
+        # one is no proof yet, nor is what overflowed
+        known = np.nan_to_num(norms[level_db], nan=1.0, posinf=FURTHEST)
+        return float(np.log(np.clip(known, 1 / FURTHEST, FURTHEST))) or -np.finfo(float).eps
 
     if excess(-DEEPEST_DB) <= 0:
         return 0.0
@@ -88,15 +96,23 @@ def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float)
 
 
 def hankel_measure(demands: Sequence[Merged], weights: FloatArray, level: float) -> tuple[float, float]:
-    """Return the Hankel norm, above one when no stable Q meets all demands at this level, and the tail left out."""
-    shares = [w / (d.limit * level**d.share) ** 2 for d, w in zip(demands, weights, strict=True)]
-    pairs = list(zip(shares, demands, strict=True))
-    P = np.maximum(sum(s * np.abs(d.b) ** 2 for s, d in pairs), np.finfo(float).tiny)
-    R = sum(s * d.b.conj() * d.a for s, d in pairs) / P
-    radius2 = (1 - sum(s * np.abs(d.a) ** 2 for s, d in pairs)) / P + np.abs(R) ** 2
-    if radius2.min() <= 0:
-        return np.inf, 0.0
-    return _hankel_norm(_around(-R) / outer(np.sqrt(radius2)))
+    """Return the Hankel norm, above one when no stable Q meets all demands at this level, and the tail left out.
+
+    Both are nan where squares of the demands leave the range of numbers.
+
+    Raises:
+        NumericalError: the norm was not found.
+    """
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        shares = [w / (d.limit * level**d.share) ** 2 for d, w in zip(demands, weights, strict=True)]
+        pairs = list(zip(shares, demands, strict=True))
+        P = np.maximum(sum(s * np.abs(d.b) ** 2 for s, d in pairs), np.finfo(float).tiny)
+        R = sum(s * d.b.conj() * d.a for s, d in pairs) / P
+        radius2 = (1 - sum(s * np.abs(d.a) ** 2 for s, d in pairs)) / P + np.abs(R) ** 2
+        if np.isfinite(radius2).all() and radius2.min() <= 0:
+            return np.inf, 0.0
+        F = _around(-R) / outer(np.sqrt(radius2))
+    return _hankel_norm(F) if np.isfinite(F).all() else (np.nan, np.nan)
 
 
 def outer(size: FloatArray) -> ComplexArray:
@@ -130,5 +146,10 @@ def _hankel_norm(F: ComplexArray) -> tuple[float, float]:
     # a symmetric start, so that the same question has the same answer
     start = np.cos(np.arange(n) * 0.7) + 1.0 / (1 + np.arange(n))
     operator = sparse.LinearOperator((n, n), matvec=product, dtype=np.float64)
-    values = sparse.eigsh(operator, k=1, which="LM", tol=1e-5, ncv=LANCZOS, v0=start, return_eigenvectors=False)
+    try:
+        values = sparse.eigsh(operator, k=1, which="LM", tol=1e-5, ncv=LANCZOS, v0=start, return_eigenvectors=False)
+    except sparse.ArpackError as error:
+        raise NumericalError(
+            f"limits: the norm that proves a bound was not found ({error}); take another band or basis."
+        ) from error
     return float(abs(values[0])), tail
