@@ -109,3 +109,19 @@ def test_a_model_preferred_one_step_ahead_that_simulates_badly_is_said_to(fit, s
     sentences = _simulating_better(best, table)
     assert bool(sentences) is said
     assert not said or "by arx 4 to -4.0 % and by box-jenkins 6 to 96.0 %" in sentences[0]
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+@pytest.mark.parametrize(("band_hz", "narrow"), [((48.2, 49.8), True), ((47.9, 48.1), False)])
+def test_a_band_between_the_lines_of_a_coherence_is_said_to_hold_none(ny, nu, band_hz, narrow, rng):
+    """A study about one tone: of 4000 samples at 1 kHz the coherence has a line every 2 Hz."""
+    wires = [Channel(f"push {k}", "kN") for k in range(nu)], [Channel(f"place {k}", "um") for k in range(ny)]
+    u = rng.standard_normal((nu, 4000))
+    records = {"all": Record(u, rng.standard_normal((ny, nu)) @ u, 1000.0, *wires)}
+    study = SimpleNamespace(identify=SimpleNamespace(records=None))
+    facts = SimpleNamespace(facts=SimpleNamespace(f_hz=np.linspace(1.0, 490.0, 50)))
+    plan = SimpleNamespace(band_hz=band_hz)
+    caption = _coherence(SimpleNamespace(study=study, records=records, analysis=facts, plan=plan)).caption
+    print(caption)
+    none = f"From {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz there is no line of it."
+    assert caption.endswith(none) if narrow else "Hz the least is 1.00, " in caption

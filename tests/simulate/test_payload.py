@@ -59,6 +59,21 @@ def test_units_change_nothing(newtons, metres):
     assert np.allclose(scaled.transmissibility[2], plain.transmissibility[2], rtol=1e-6)
 
 
+@pytest.mark.parametrize("seconds", [1.0, 5.0])
+def test_a_band_about_one_tone_has_the_figures_of_its_lines(seconds):
+    """It holds no mean over the half hertz that others are shown by."""
+    setup = PayloadSetup("shaker", LISTENED, (9.95, 10.05), base=UNDER, seconds=seconds, settle_s=1.0)
+    found = measure_payload(Mounted(), law(), setup).noise
+    (f,), bare, controlled = found.transmissibility
+    assert found.worst_db() == (pytest.approx(found.reduction_db()), 10.0)
+    assert f == pytest.approx(10.0)
+    assert controlled.shape == bare.shape == (1,)
+    opened, closed = (
+        np.abs(each.payload.amplitude[:, each.payload.f_hz == f]) for each in (found.opened, found.closed)
+    )
+    assert found.reduction_db() == pytest.approx(20 * np.log10(np.linalg.norm(opened) / np.linalg.norm(closed)))
+
+
 def test_a_stepped_law_and_one_of_all_channels_do_the_same():
     setup = PayloadSetup("shaker", LISTENED, BAND_HZ, seconds=1.0, settle_s=1.0)
     K = law()

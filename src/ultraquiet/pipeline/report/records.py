@@ -138,23 +138,28 @@ def _coherence(result: StudyResult) -> Chart | None:
         commands = found.actuators[0].name if len(found.actuators) == 1 else f"all {len(found.actuators)} commands"
         label = f"{commands} → {record.sensors[sensor].name}"
         curves.append(Curve(label, found.f_hz[inside], found.multiple[sensor, inside], f"law-{k % 8 + 1}"))
-    low, high = result.plan.band_hz
-    least = min(
-        (float(np.asarray(c.y)[at].min()), c.name)
-        for c in curves
-        if (at := (np.asarray(c.x) >= low) & (np.asarray(c.x) <= high)).any()
-    )
-    # A line between sharp modes is as incoherent by what leaks from them as by noise; the share cannot tell which.
-    low_share = "most of the reading there is noise, or leaks from modes narrower than the resolution"
     caption = (
         f"Share of each reading's power that the command explains, '{names[0]}', "
-        f"{spectra.coherence(members[0]).estimator}. "
-        f"From {low:.4g} to {high:.4g} Hz the least is {least[0]:.2f}, {least[1]}: "
-        f"{'every response there can be trusted' if least[0] >= TRUSTED else low_share}."
+        f"{spectra.coherence(members[0]).estimator}. {_least_coherent(curves, result.plan.band_hz)}"
     )
     marks = [Mark(f"trusted above {TRUSTED:g}", y=TRUSTED)]
     panel = ChartPanel(frequency_axis(), Axis("coherence (1)", range=(0.0, 1.02)), curves, "", (), marks, height=200)
     return Chart("coherence", "Coherence", caption, [panel])
+
+
+def _least_coherent(curves: Sequence[Curve], band_hz: tuple[float, float]) -> str:
+    """Return a sentence on the least coherence over a band (Hz), which may be narrower than the lines are apart."""
+    low, high = band_hz
+    inside = [(c, (np.asarray(c.x) >= low) & (np.asarray(c.x) <= high)) for c in curves]
+    values = [(float(np.asarray(c.y)[at].min()), c.name) for c, at in inside if at.any()]
+    where = f"From {low:.4g} to {high:.4g} Hz"
+    if not values:
+        return f"{where} there is no line of it."
+    least, name = min(values)
+    # A line between sharp modes is as incoherent by what leaks from them as by noise; the share cannot tell which.
+    low_share = "most of the reading there is noise, or leaks from modes narrower than the resolution"
+    meant = "every response there can be trusted" if least >= TRUSTED else low_share
+    return f"{where} the least is {least:.2f}, {name}: {meant}."
 
 
 def response(result: StudyResult) -> Section:
