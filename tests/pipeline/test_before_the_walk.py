@@ -15,6 +15,7 @@ from ultraquiet.pipeline.store import entry as entries
 from ultraquiet.pipeline.store.contents import hashes_of
 from ultraquiet.pipeline.store.sources import list_of
 from ultraquiet.pipeline.study import StudyError, parse
+from ultraquiet.pipeline.tables.blending import with_matrices
 from ultraquiet.pipeline.walk import _located, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()
@@ -131,6 +132,17 @@ def test_report_finds_the_list_that_stands_beside_the_study(tmp_path):
     (tmp_path / "study.json").write_text(left)
     again = pipeline.reload_study(tmp_path)
     assert Path(list_of(again, tmp_path / "out")) == tmp_path / "mine.toml"
+
+
+def test_report_finds_the_matrices_that_stand_beside_the_study(tmp_path):
+    (tmp_path / "Ts.csv").write_text("0.5,0.5\n")
+    blending = '[blending]\nsensors = "Ts.csv"\nactuators = [[1.0], [2.0]]\nnames = ["heave"]\n'
+    (tmp_path / "study.toml").write_text(SUITE + blending)
+    (tmp_path / "out").mkdir()
+    left = _located(pipeline.load_study(tmp_path / "study.toml"), tmp_path).model_dump_json()
+    (tmp_path / "out" / "study.json").write_text(left)
+    read = with_matrices(pipeline.reload_study(tmp_path / "out").blending, tmp_path / "out")
+    assert (read.sensors, read.actuators) == ([[0.5, 0.5]], [[1.0], [2.0]])
 
 
 @pytest.mark.parametrize("path", ["../outside.h5", "models/../../outside.h5", "{absolute}", "models/link.h5", "", 3])

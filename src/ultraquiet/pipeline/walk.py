@@ -282,6 +282,10 @@ def _located(settings: study.Study, beside: Path | None) -> study.Study:
         files = [str(place_beside(name, beside)) for name in settings.records.files]
         mapping = settings.records.mapping and str(place_beside(settings.records.mapping, beside))
         found["records"] = settings.records.model_copy(update={"files": files, "mapping": mapping})
+    if settings.blending is not None:
+        matrices = {name: getattr(settings.blending, name) for name in ("sensors", "actuators")}
+        located = {name: str(place_beside(file, beside)) for name, file in matrices.items() if isinstance(file, str)}
+        found["blending"] = settings.blending.model_copy(update=located)
     if settings.bench is not None and settings.bench.object is not None:
         name, _, attribute = settings.bench.object.rpartition(":")
         found["bench"] = settings.bench.model_copy(update={"object": f"{place_beside(name, beside)}:{attribute}"})
