@@ -33,6 +33,12 @@ WRONG = {
     "tone": ("tones_hz = [5.0, 25.0, 100.0]\namplitude", "tones_hz = [5000.0]\namplitude", "5000 Hz"),
     "records": ('records = "noise"', 'records = "nosie"', "'nosie'"),
     "held out": ('held_out = "judge"', 'held_out = "jugde"', "'jugde'"),
+    "judged by what was fitted": (
+        'held_out = "judge"',
+        'held_out = "noise"',
+        "fitted to 'noise-1', which cannot judge",
+    ),
+    "simulated records": ('simulated = ["step", "tone"]', 'simulated = ["step", "tnoe"]', "no record 'tnoe'"),
     "paper's records": ('["chirp", "noise", "prbs"]', '["chrip"]', "'chrip'"),
     "plant's records": ('["lowest", "low", "high"]', '["loewst"]', "'loewst'"),
     "structure": ('["arx", "armax", "output-error", "box-jenkins"]', '["rational"]', "'rational'"),

@@ -7,10 +7,11 @@ from scipy.signal import lfilter
 import ultraquiet as uq
 from ultraquiet._base.beside import Said
 from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.identification import sweep_groups
 from ultraquiet.pipeline.making.models import ModelStages
 from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.stage import Cache
-from ultraquiet.pipeline.study import parse
+from ultraquiet.pipeline.study import IdentifyTable, parse
 
 RATE_HZ = 400.0
 PLAN = LoopPlan(("bench",), (), 1.0, 2.0, (10.0, 60.0))
@@ -44,6 +45,13 @@ def record(seed):
     u = rng.standard_normal((1, 800))
     y = lfilter([0.0, 3.0, 1.0], [1.0, -2 * 0.98 * np.cos(w), 0.98**2], u) + 1e-3 * rng.standard_normal((1, 800))
     return uq.Record(u, y, RATE_HZ, [uq.Channel("push", "N")], [uq.Channel("place", "um")])
+
+
+def test_what_is_held_out_is_fitted_by_none():
+    records = {"one": record(1), "two": record(2)}
+    for held_out, groups in ((None, ("one", "two")), ("two", ("one", "two")), ("one", ("two", "one"))):
+        assert sweep_groups(records, IdentifyTable(held_out=held_out)) == groups
+    assert sweep_groups({"one": record(1)}, IdentifyTable(held_out="one")) == (None, "one")
 
 
 @pytest.mark.parametrize(

@@ -58,10 +58,11 @@ def group(records: Mapping[str, Record], name: str) -> list[Record]:
 def sweep_groups(records: Mapping[str, Record], settings: IdentifyTable) -> tuple[str | None, str | None]:
     """Return the groups of records to fit and to judge by; None where there is none that will do.
 
-    A group does when it drives one actuator after the other, each alone, one record an actuator.
+    A group does when it drives one actuator after the other, each alone, one record an actuator; what is held out is
+    fitted by none.
     """
     able = [name for name in grouped(records) if _one_by_one(group(records, name))]
-    fitted = settings.records or next(iter(able), None)
+    fitted = settings.records or next((name for name in able if name != settings.held_out), None)
     judged = settings.held_out or next((name for name in able if name != fitted), None)
     return fitted, judged
 

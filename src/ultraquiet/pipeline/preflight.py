@@ -18,7 +18,7 @@ from ultraquiet.design.mean_channel import WOULD_DO
 from ultraquiet.experiments import ExperimentList
 from ultraquiet.pipeline.facts.loops import ONLY
 from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
-from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
+from ultraquiet.pipeline.study import Band, ClosedLoop, IdentifyTable, Plant, Study, StudyError
 from ultraquiet.simulate.attenuation import shortest_run_s, slowest_tone_hz
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
@@ -337,7 +337,23 @@ def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:
         if name not in known:
             fault = f"there are no records '{name}'; there are {', '.join(groups)}."
             mistakes.add(place, f"{place[0]}.{place[1]}: {fault}")
+    for k, name in enumerate(study.paper.simulated if study.paper else ()):
+        if name not in names:  # of a group each record is simulated by its own name
+            fault = f"there is no record '{name}'; there are {', '.join(names)}."
+            mistakes.add(("paper", "simulated", k), f"paper.simulated: {fault}")
+    _held_out(study.identify, groups, mistakes)
     _plant_records(study.plant, groups, mistakes)
+
+
+def _held_out(asked: IdentifyTable, groups: Mapping[str, Sequence[str]], mistakes: Mistakes) -> None:
+    """Note records by which models are judged that were fitted to them."""
+    fitted, judged = (recorded([name], groups) if name else [] for name in (asked.records, asked.held_out))
+    both = [name for name in judged if name in fitted]
+    if both:
+        fault = (
+            f"models are fitted to '{both[0]}', which cannot judge them as well; name other records or leave it away."
+        )
+        mistakes.add(("identify", "held_out"), f"identify.held_out: {fault}")
 
 
 def _plant_records(settings: Plant, groups: Mapping[str, Sequence[str]], mistakes: Mistakes) -> None:
