@@ -148,6 +148,7 @@ def small(tmp_path):
     ("table", "words"),
     [
         ("[deploy]\nlimits = [1.0, 2.0, 3.0]", "deploy.limits: there are 2 actuators and 3 limits"),
+        ("[deploy]\nlimits = [9e3, 20.0]", "deploy.limits: 20 is below the range of 'shaker 2', -5000 to 5000 N"),
         ('[paper]\nrecords = ["noise"]\nband_hz = [10.0, 100.0]\nchannel = 3', "paper.channel: there is no channel 3"),
         ("[commission]\nseconds = 80000.0", "commission.seconds: 80000 s are more than memory holds"),
         (
@@ -169,6 +170,29 @@ def test_numbers_that_the_bench_does_not_have_are_refused_before_anything_runs(t
     assert sentence.startswith(words)
     assert f"{STUDY}{table}".split("\n")[line - 1].split(" =")[0].strip("[]") in sentence
     assert not (small / "out").exists()
+
+
+@pytest.mark.parametrize(("limits", "below"), [("3.0", True), ("[7.0, 1.0]", False), ("[4.0, 1.0]", True)])
+def test_a_limit_of_code_is_for_an_actuator_that_states_none(limits, below):
+    wires = [uq.Channel("coil", "A", -2.0, 5.0), uq.Channel("valve", "bar")]
+    record = uq.Record(np.zeros((2, 50)), np.zeros((3, 50)), 1000.0, wires)
+    study = parse(written("deploy", "limits", limits)[0])
+    if not below:
+        preflight.check(study, None, ["all"], seen=record)
+        return
+    with pytest.raises(StudyError, match=r"is below the range of 'coil', -2 to 5 A, which its code keeps to"):
+        preflight.check(study, None, ["all"], seen=record)
+
+
+def test_units_of_a_plant_are_those_of_a_bench():
+    record = uq.Record(np.ones((1, 50)), np.ones((1, 50)), 1000.0)
+    played = written("plant", "units", '["flight"]')[0]
+    filed = f'{STUDY[: STUDY.index("[bench]")]}[records]\nfiles = ["all.csv"]\n{STUDY[STUDY.index("[plant]") :]}'
+    filed = filed.replace("[plant]", '[plant]\nunits = ["flight"]')
+    for text, bench in ((filed, None), (played, uq.bench.Replay((record,)))):
+        study = parse(text)
+        with pytest.raises(StudyError, match=r"plant.units: no bench of this study could be another unit"):
+            preflight.check(study, bench, ["all"], seen=record)
 
 
 def test_limits_of_a_study_of_files_are_one_an_actuator(small):

@@ -21,7 +21,7 @@ from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
 from ultraquiet.pipeline.study import Band, ClosedLoop, IdentifyTable, Plant, Study, StudyError
 from ultraquiet.simulate.attenuation import shortest_run_s, slowest_tone_hz
 from ultraquiet.simulate.payload.wires import place_of
-from ultraquiet.values import StateSpace
+from ultraquiet.values import Channel, StateSpace
 from ultraquiet.values.channel import usual_level
 
 FEWEST_PERIODS = 3  # of a record that a response is made of
@@ -48,6 +48,9 @@ def check(
         StudyError: every mistake, in one message.
     """
     mistakes = study.mistakes() if noted is None else noted
+    if study.plant.units and (study.bench is None or (bench is not None and not reacts(bench))):
+        fault = "no bench of this study could be another unit; leave it away."
+        mistakes.add(("plant", "units"), f"plant.units: {fault}")
     if bench is not None and not reacts(bench):
         _played(study, mistakes)
     elif bench is not None:
@@ -244,10 +247,24 @@ def _channels(study: Study, wired: Any, mistakes: Mistakes) -> None:
         given = f"{counted(len(limits), 'limit')}; give one number, or one an actuator."
         fault = f"{several_of(nu, 'there is', 'there are')} {counted(nu, 'actuator')} and {given}"
         mistakes.add(("deploy", "limits"), f"deploy.limits: {fault}")
+    elif limits is not None:
+        _narrower(np.broadcast_to(limits, nu).tolist(), wired.actuators, mistakes)
     if study.paper is not None and study.paper.channel > min(nu, ny):
         wires = f"{counted(nu, 'actuator')} and {counted(ny, 'sensor')}, counted from one."
         fault = f"there is no channel {study.paper.channel}: {wires}"
         mistakes.add(("paper", "channel"), f"paper.channel: {fault}")
+
+
+def _narrower(limits: Sequence[float], actuators: Sequence[Channel], mistakes: Mistakes) -> None:
+    """Note a limit of commands in code below that which an actuator states itself and its code keeps to."""
+    for limit, c in zip(limits, actuators, strict=True):
+        if limit < max(-c.low, c.high) < np.inf:
+            fault = (
+                f"{limit:g} is below the range of '{c.name}', {c.low:g} to {c.in_unit(c.high)}, which its code keeps "
+                "to; these are for actuators without one: give the channel a narrower range, or leave it away."
+            )
+            mistakes.add(("deploy", "limits"), f"deploy.limits: {fault}")
+            return
 
 
 def _shapes(study: Study, wired: Any, mistakes: Mistakes) -> None:
