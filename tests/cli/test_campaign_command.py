@@ -136,6 +136,11 @@ def test_what_cannot_be_drawn_is_refused_with_its_line(study, run):
     code, _, err = run("campaign", "study.toml")
     assert code == 2
     assert "there is no law 'clam' among the controllers calm" in err
+    (study / "study.toml").write_text(STUDY + "[campaign]\nbenches = 4\ntune = true\n")
+    code, _, err = run("campaign", "study.toml")
+    assert code == 2
+    assert 'line 19: campaign.tune: it fits responses; give [plant] the method "rational"' in err
+    assert not (study / "study").exists()
     (study / "study.toml").write_text(STUDY + '[campaign]\non = "bench"\nmeasured = 3\n')
     code, _, err = run("campaign", "study.toml")
     assert code == 2

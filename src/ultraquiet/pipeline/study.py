@@ -7,12 +7,14 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, AliasChoices, ConfigDict, Field, PrivateAttr, ValidationError
 
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, UnknownMethodError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes, TableError, read_toml
+from ultraquiet._base.registry import lookup
 from ultraquiet._base.regular import read_regular_text
 from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason, refuse_data
+from ultraquiet.identify import Rational
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.around import check_around
 from ultraquiet.pipeline.tables.blending import BlendingTable
@@ -335,7 +337,7 @@ def _check_requirements(study: Study, mistakes: Mistakes) -> None:
 
 
 def _check_campaign(study: Study, mistakes: Mistakes) -> None:
-    """Note a campaign or a commissioning without a bench, or about a law that the study does not design."""
+    """Note a campaign or a commissioning without a bench, about a law that is not designed, or that cannot tune one."""
     for name, table in (("campaign", study.campaign), ("commission", study.commission)):
         if table is None:
             continue
@@ -344,6 +346,17 @@ def _check_campaign(study: Study, mistakes: Mistakes) -> None:
         if table.law is not None and table.law not in study.controllers:
             fault = f"there is no law '{table.law}' among the controllers {', '.join(study.controllers)}."
             mistakes.add((name, "law"), f"{name}.law: {fault}")
+    if study.campaign is not None and study.campaign.tune and not issubclass(_kind_of(study.plant), Rational):
+        fault = 'it fits responses; give [plant] the method "rational", or leave it away.'
+        mistakes.add(("campaign", "tune"), f"campaign.tune: {fault}")
+
+
+def _kind_of(plant: Plant) -> type[Any]:
+    """Return the class of a plant's method; of one that nobody knows, which is noted elsewhere, one that will do."""
+    try:
+        return lookup("identify", plant.method)
+    except UnknownMethodError:
+        return Rational
 
 
 def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes: Mistakes) -> None:
