@@ -11,8 +11,9 @@ from ultraquiet.pipeline.study import StudyError
 RIG = """
 import ultraquiet as uq
 
-def make(rate_hz=500.0, gain=1.0):
-    plant = uq.StateSpace([[0.5]], [[gain]], [[1.0]], [[0.0]], rate_hz)
+def make(rate_hz=500.0, gain=1.0, reach=float("inf")):
+    push = uq.Channel("push", "N", -reach, reach)
+    plant = uq.StateSpace([[0.5]], [[gain]], [[1.0]], [[0.0]], rate_hz, [push])
     return uq.bench.LinearBench(plant)
 """
 BENCH = """\
@@ -76,6 +77,11 @@ ASKED = {
         BENCH + NEW,
         [("rig.py", "rog.py"), ('law = "calm"', 'law = "clam"'), ("list.toml", "lost.toml")],
         {4: "rog.py' cannot be read", 7: "lost.toml' cannot be read", 14: "no law 'clam'", 16: "'precision'?"},
+    ),
+    "an older name": (
+        BENCH + "[closed_loop]\ntones_hz = [50.0]\namplitude_v = 30.0\n",
+        [("gain = 2.0", "reach = 20.0")],
+        {17: "closed_loop.amplitude: 30 is beyond the range of 'push', -20 to 20 N"},
     ),
     "a run that a tone does not fit": (
         BENCH + "[closed_loop]\ntones_hz = [50.0, 1.3]\nduration_s = 1.5\n",

@@ -25,6 +25,8 @@ from ultraquiet.pipeline.tables.numbers import LARGEST, Band, Decibels, FileName
 from ultraquiet.pipeline.tables.paper import Paper, with_paper
 from ultraquiet.pipeline.tables.sound import note_missing_files, without_refused
 
+# Of a key by its older name, where it is looked for.
+NEWER_PLACES: dict[Place, Place] = {("closed_loop", "amplitude_v"): ("closed_loop", "amplitude")}
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.
 FILE_NAME = re.compile(r"(?!open$)[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -200,7 +202,8 @@ class Study(Strict):
     def at(self, places: Mapping[Place, int], name: str = "study") -> "Study":
         """Return the study with the name of its file and the lines on which things stand in it."""
         located = self.model_copy()
-        located._places, located._name = places, name
+        newer = {NEWER_PLACES[place]: line for place, line in places.items() if place in NEWER_PLACES}
+        located._places, located._name = {**newer, **places}, name
         return located
 
     @property
