@@ -11,6 +11,7 @@ from small_study import STUDY, walk, written
 
 import ultraquiet as uq
 from read_page import Page
+from ultraquiet.cli.exits.codes import exit_code
 from ultraquiet.pipeline.facts.code import CodeFacts, DeploymentFacts, NoCode, WholeNumberFacts
 from ultraquiet.pipeline.facts.loops import LoopFacts, UnstableLoop
 from ultraquiet.pipeline.facts.typed import from_plain, to_plain
@@ -69,6 +70,20 @@ def test_a_study_writes_c31_assembly_and_says_how_far_its_vectors_go(tmp_path):
     assert facts.bit_exact_on in (None, {})
     assert (tmp_path / "calm" / "controller_c31.asm").exists()
     assert from_plain(DeploymentFacts, to_plain(facts)).c31_vectors == facts.c31_vectors
+
+
+@pytest.mark.parametrize(("gain", "word"), [(1e-6, "ok"), (1e-3, "inexact")])
+def test_code_that_rounding_changes_too_much_has_failed_as_for_deploy(gain, word, tmp_path):
+    """Two poles within a millionth of one, in float32 as they stand."""
+    A = [[1 - 1e-6, 1.0], [-1e-12, 1 - 1e-6]]
+    law = uq.StateSpace(A, [[0.0], [1e-6]], [[-gain, 0.0]], [[0.0]], rate_hz=3500.0)
+    facts = deployed("calm", law, PLANT, LIMITS, tmp_path, Deploy(form="dense", processors=[]), []).facts
+    print(facts.status)
+    assert facts.status.startswith(f"{word}: ")
+    assert facts.verdict == (facts.verification if word == "ok" else facts.status)
+    assert facts.failed is (word == "inexact")
+    code = code_of(law, LIMITS, tmp_path / "code", Deploy(form="dense"), PLANT)
+    assert exit_code(code.status) == int(facts.failed)
 
 
 def test_whole_numbers_keep_to_the_least_of_the_limits(tmp_path):

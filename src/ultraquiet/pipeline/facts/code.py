@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from ultraquiet.pipeline.facts.typed import fact
-from ultraquiet.values.status import CODE_FAULTS
+from ultraquiet.values.status import CODE_FAULTS, StatusWord
 
 
 @fact
@@ -19,19 +19,28 @@ class WordFormatFacts:
 
 
 class Proved:
-    """What a proof of code came to, of the facts that hold one."""
+    """What a proof of code came to, and what rounding did to its law, of the facts that hold both."""
 
+    status: str
     verification: str
 
     @property
     def verdict(self) -> str:
-        """What the proof of the code came to."""
-        return self.verification
+        """What the proof of the code came to; what rounding did where that is too much and the proof found no fault."""
+        return self.status if self._inexact and not self._faulty else self.verification
 
     @property
     def failed(self) -> bool:
-        """True where the proof found a fault; what could not be run here is none."""
+        """True where the proof found a fault, or rounding changes too much; what could not be run here is none."""
+        return self._faulty or self._inexact
+
+    @property
+    def _faulty(self) -> bool:
         return self.verification.partition(":")[0] in CODE_FAULTS
+
+    @property
+    def _inexact(self) -> bool:
+        return self.status.partition(":")[0] == StatusWord.INEXACT.value
 
 
 @fact

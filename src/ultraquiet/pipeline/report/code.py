@@ -28,7 +28,7 @@ def code(result: StudyResult) -> Section:
     reduced = reductions(result)
     beside = "; what a reduction left of each law stands beside it" if reduced else ""
     text = (
-        f"The proof of the code found a fault in {', '.join(failed)}; see below."
+        f"The code of {', '.join(failed)} is not ok, or there is none; see below."
         if failed
         else f"The code of every law was compiled and compared with its twin{beside}."
     )

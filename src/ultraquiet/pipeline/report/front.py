@@ -80,10 +80,10 @@ def _law_in_short(result: StudyResult, name: str) -> str:
     method = "" if facts.method == name else f", {facts.method}"  # a law that nobody named has its method's name
     text = f"{name}: one law{on}{method}, {counted(facts.states, 'state')}"
     if isinstance(code, CodeFacts):
-        words = f"; its code is {code.verification.partition(':')[0]}"
+        words = f"; its code is {code.verdict.partition(':')[0]}"
         text += f"{words}, {code.flash_bytes / 1024:.0f} kB of flash, {code.ram_bytes / 1024:.1f} kB of RAM"
     elif isinstance(code, WholeNumberFacts):
-        text += f"; its code of whole numbers, {code.precision}, is {code.verification.partition(':')[0]}"
+        text += f"; its code of whole numbers, {code.precision}, is {code.verdict.partition(':')[0]}"
     return f"{text}."
 
 
