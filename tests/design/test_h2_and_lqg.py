@@ -120,3 +120,50 @@ def test_recovery_factors_below_one_are_refused():
 def test_continuous_plants_are_refused():
     with pytest.raises(InputError, match="continuous"):
         Lqg().design(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+
+
+@pytest.mark.parametrize("rate_hz", [None, 10.0])
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
+def test_the_best_law_has_no_units_of_controls_and_measurements(rng, rate_hz, nu, ny):
+    n, q = 4, nu + ny
+    A = rng.standard_normal((n, n))
+    A = 0.9 * A / np.abs(np.linalg.eigvals(A)).max() if rate_hz else A - 3 * np.eye(n)
+    D = np.zeros((q + ny, q + nu))
+    D[:nu, q:], D[q:, :ny] = rng.standard_normal((nu, nu)), rng.standard_normal((ny, ny))
+    P = StateSpace(A, rng.standard_normal((n, q + nu)), rng.standard_normal((q + ny, n)), D, rate_hz)
+    u, y = np.ones(q + nu), np.ones(q + ny)
+    u[q:], y[q:] = 10.0 ** rng.uniform(-9, 9, nu), 10.0 ** rng.uniform(-9, 9, ny)
+    other = StateSpace(A, P.B * u, P.C * y[:, None], D * u * y[:, None], rate_hz)
+    one, two = (synthesize_h2(plant, ny, nu) for plant in (P, other))
+    assert one.status.ok, one.status
+    assert two.status.ok, two.status
+    assert two.achieved == pytest.approx(one.achieved, rel=1e-6)
+    f = np.array([0.01, 0.3, 2.0])
+    law, same = (r.controller.frequency_response(f) for r in (one, two))
+    off = same * u[q:, None, None] * y[None, q:, None] - law
+    assert np.abs(off).max() < 1e-6 * np.abs(law).max()
+
+
+def test_a_disturbance_that_is_measured_and_matched_costs_nothing(rng):
+    for nu in (1, 2, 3) * 4:
+        A = rng.standard_normal((4, 4))
+        A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+        B, W, C = rng.standard_normal((4, nu)), rng.standard_normal((nu, nu)), rng.standard_normal((5, 4))
+        D = np.block([[np.zeros((5, 2 * nu))], [np.eye(nu), np.zeros((nu, nu))]])
+        P = StateSpace(A, np.hstack([B @ W, B]), np.vstack([C, np.zeros((nu, 4))]), D, 10.0)
+        result = synthesize_h2(P, nu, nu)
+        assert result.status.ok, result.status
+        assert 0 <= result.gamma < 1e-5
+        assert result.achieved < 1e-9
+
+
+def test_a_control_that_does_nothing_is_refused():
+    P = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), [[1, 0, 0], [0, 1, 0]], 10.0)
+    result = synthesize_h2(P, 1, 1)
+    assert result.status.word == "refused"
+    assert "costs nothing and moves nothing" in result.status.sentence
+
+
+def test_what_is_no_system_is_refused_by_name():
+    with pytest.raises(InputError, match="synthesize_h2: 'P' must be a StateSpace"):
+        synthesize_h2(None, 1, 1)  # pyright: ignore[reportArgumentType]

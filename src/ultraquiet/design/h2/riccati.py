@@ -10,6 +10,7 @@ from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.values.state_space import StateSpace
 
 ROUND_OFF = 1e-14  # singular values of D12 and D21 below this share of the largest are none
+CANCELLED = 1e-12  # of the terms of a squared cost: what is left below it is their round-off
 RANK = 1e-12  # of D12'D12 and D21 D21' (continuous), relative
 
 
@@ -82,12 +83,22 @@ class Solution(NamedTuple):
 
     def cost(self) -> float:
         """Return the H2 norm that the equations promise, by the optimal cost and the price of not knowing the state."""
+        return float(np.sqrt(max(sum(self._terms()), 0.0)))
+
+    def agrees(self, achieved: float, share: float) -> bool:
+        """Return whether an achieved norm is the promised one, to a share of it and to the round-off of its terms."""
+        terms = self._terms()
+        off = abs(sum(terms) - achieved**2)
+        return bool(off <= 2 * share * achieved**2 + CANCELLED * sum(abs(term) for term in terms))
+
+    def _terms(self) -> tuple[float, ...]:
+        """Return the terms of the squared cost, which cancel where the optimum is zero."""
         p, X, Y = self.problem, self.regulator.X, self.observer.X
-        full = np.trace(p.B1.T @ X @ p.B1)
+        full = float(np.trace(p.B1.T @ X @ p.B1))
         if not self.discrete:
-            return float(np.sqrt(full + np.trace(self.F @ Y @ self.F.T @ (p.D12.T @ p.D12))))
+            return full, float(np.trace(self.F @ Y @ self.F.T @ (p.D12.T @ p.D12)))
         R, S = _weights(self)
-        full += np.sum(p.D11**2)
+        full += float(np.sum(p.D11**2))
         # what the best u would be, were x and w known, minus what the innovations tell of it
         wish = np.hstack([self.F, np.linalg.solve(R, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)])
         m = p.B1.shape[1]
@@ -95,19 +106,30 @@ class Solution(NamedTuple):
         seen = np.vstack([Y @ p.C2.T, p.D21.T])
         left = known - seen @ np.linalg.solve(S, seen.T)
         gain = wish[:, Y.shape[0] :]
-        return float(np.sqrt(full - np.trace(gain.T @ R @ gain) + np.trace(R @ wish @ left @ wish.T)))
+        return full, -float(np.trace(gain.T @ R @ gain)), float(np.trace(R @ wish @ left @ wish.T))
 
 
 def solve(p: H2Problem, discrete: bool) -> Solution:
     """Solve both equations.
 
     Raises:
-        NumericalError: an equation has no stabilising solution; in continuous time also when D12 or D21 lacks rank or
-            D11 is not zero.
+        NumericalError: an equation has no stabilising solution, or no single gain; in continuous time also when D12 or
+            D21 lacks rank or D11 is not zero.
     """
+    try:
+        return _solved(p, discrete)
+    except np.linalg.LinAlgError:
+        raise NumericalError(
+            "H2 synthesis: no single gain is the best: a control costs nothing and moves nothing, or a measurement "
+            "tells nothing; give each a weight of its own."
+        ) from None
+
+
+def _solved(p: H2Problem, discrete: bool) -> Solution:
+    p, units = _alike(p, discrete)
     if not discrete:
         _ranks(p, p.D12.T @ p.D12, p.D21 @ p.D21.T)
-    p, units = _normalised(p)
+    p, units = _normalised(p, units)
     Rx, Ry = p.D12.T @ p.D12, p.D21 @ p.D21.T
     Sx, Sy = p.C1.T @ p.D12, p.B1 @ p.D21.T
     if discrete:
@@ -127,7 +149,21 @@ def solve(p: H2Problem, discrete: bool) -> Solution:
     return Solution(p, X, Y, F, L, np.zeros((F.shape[0], p.C2.shape[0])), False, units)
 
 
-def _normalised(p: H2Problem) -> tuple[H2Problem, Units]:
+def _alike(p: H2Problem, discrete: bool) -> tuple[H2Problem, Units]:
+    """Choose units of controls and measurements, powers of two, in which all are about as large.
+
+    In continuous time by their weights in D12 and D21; in discrete time, where those may be zero, by what the controls
+    do to the state and the state to the measurements as well. What has no size keeps its unit.
+    """
+    sizes = (np.linalg.norm(p.D12, axis=0), np.linalg.norm(p.D21, axis=1))
+    if discrete:
+        sizes = np.hypot(sizes[0], np.linalg.norm(p.B2, axis=0)), np.hypot(sizes[1], np.linalg.norm(p.C2, axis=1))
+    u, y = (np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0)))) for size in sizes)
+    p = p._replace(B2=p.B2 * u, D12=p.D12 * u, C2=p.C2 * y[:, None], D21=p.D21 * y[:, None])
+    return p._replace(D22=p.D22 * u * y[:, None]), Units(np.diag(u), np.diag(y))
+
+
+def _normalised(p: H2Problem, units: Units) -> tuple[H2Problem, Units]:
     """Choose units of controls and measurements such that D12'D12 and D21 D21' are unit matrices.
 
     Squaring D12 first would lose what is small in it. A D12 or D21 without full rank is left as it is.
@@ -135,7 +171,8 @@ def _normalised(p: H2Problem) -> tuple[H2Problem, Units]:
     into, D12 = _unit(p.D12)
     out, D21 = _unit(p.D21.T)
     out = out.T
-    return p._replace(B2=p.B2 @ into, D12=D12, C2=out @ p.C2, D21=D21.T, D22=out @ p.D22 @ into), Units(into, out)
+    p = p._replace(B2=p.B2 @ into, D12=D12, C2=out @ p.C2, D21=D21.T, D22=out @ p.D22 @ into)
+    return p, Units(units.into @ into, out @ units.out)
 
 
 def _unit(D: Array) -> tuple[Array, Array]:

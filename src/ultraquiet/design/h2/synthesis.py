@@ -7,6 +7,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design.h2.riccati import H2Problem, solve
 from ultraquiet.design.result import DesignResult, is_stable, refused
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -14,6 +15,7 @@ from ultraquiet.values.status import Status, StatusWord
 AGREEMENT = 1e-3  # promised and achieved norm must agree this well
 
 
+@takes_systems
 @single_threaded
 def synthesize_h2(P: StateSpace, measurements: int, controls: int) -> DesignResult:
     """Return the controller that minimises the H2 norm of a closed loop.
@@ -53,7 +55,7 @@ def synthesize_h2(P: StateSpace, measurements: int, controls: int) -> DesignResu
     loop = lft(P, K)
     poles = loop.poles()
     promised, achieved = solution.cost(), h2_norm(loop)
-    if not is_stable(poles, P.rate_hz) or abs(promised - achieved) > AGREEMENT * achieved:
+    if not is_stable(poles, P.rate_hz) or not solution.agrees(achieved, AGREEMENT):
         return refused(f"H2 synthesis: promised {promised:.6g}, achieved {achieved:.6g}; scale the plant.")
     status = Status(StatusWord.OK, f"The loop is stable and its H2 norm is {achieved:.5g}.")
     return DesignResult(status, K, promised, achieved, poles, residuals=solution.residuals, provenance=provenance)
