@@ -6,7 +6,8 @@ from limit_plants import RATE_HZ, modal, regulator, responses
 from scipy.linalg import solve_continuous_are
 
 import ultraquiet as uq
-from ultraquiet.limits import bode_integral, poisson_integral, waterbed_peak
+from ultraquiet._base.errors import InputError
+from ultraquiet.limits import bode_integral, distance, poisson_integral, principal_directions, waterbed_peak
 from ultraquiet.values import StateSpace
 
 
@@ -122,3 +123,14 @@ def test_refusals():
         poisson_integral(lag, StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
     with pytest.raises(uq.errors.InputError, match="waterbed_peak"):
         waterbed_peak(lag, (5.0, 20.0), 10.0, bandwidth_hz=15.0)
+
+
+@pytest.mark.parametrize("verb", [bode_integral, poisson_integral, distance])
+@pytest.mark.parametrize("name", ["plant", "controller"])
+def test_what_is_no_system_is_refused_by_name(verb, name):
+    lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
+    asked = {"plant": lag, "controller": lag, **({"band_hz": (5.0, 50.0)} if verb is distance else {}), name: None}
+    with pytest.raises(InputError, match=f"{verb.__name__}: '{name}' must be a StateSpace"):
+        verb(**asked)
+    with pytest.raises(InputError, match="principal_directions: 'plant' must be a StateSpace"):
+        principal_directions(None, (5.0, 50.0))

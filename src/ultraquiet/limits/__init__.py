@@ -7,7 +7,7 @@ from ultraquiet._base.shown import show
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import DirectionLimit, by_direction
 from ultraquiet.limits.convex import best_flat_attenuation
-from ultraquiet.limits.directions import principal as principal_directions
+from ultraquiet.limits.directions import principal_directions
 from ultraquiet.limits.distance import Distance, distance
 from ultraquiet.limits.integrals import Integral, bode_integral, poisson_integral
 from ultraquiet.limits.waterbed import waterbed_peak

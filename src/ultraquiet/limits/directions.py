@@ -11,6 +11,7 @@ from ultraquiet.linalg import balance
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.response import points
 from ultraquiet.linalg.zeros import invariant_zeros
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 BAND_POINTS = 60
@@ -22,7 +23,8 @@ ROUNDED = 1e-9  # no answer above this share of the largest is taken for round-o
 ALONE_DB = 300.0  # what leaves a direction lies below every digit of what stays
 
 
-def principal(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
+@takes_systems
+def principal_directions(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
     """Return constant orthonormal directions, the columns, from the one the plant moves least over a band.
 
     Eigenvectors of the mean over the band of the real part of G G*, each frequency with the same weight.
@@ -35,7 +37,7 @@ def principal(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
         InputError: a band that does not rise, or that ends beyond Nyquist.
 
     >>> G = StateSpace([[-1.0, 0.0], [0.0, -1.0]], np.eye(2), np.diag([3.0, 1.0]), np.zeros((2, 2)))
-    >>> np.abs(principal(G, (1.0, 10.0))).round(3).tolist()
+    >>> np.abs(principal_directions(G, (1.0, 10.0))).round(3).tolist()
     [[0.0, 1.0], [1.0, 0.0]]
     """
     band = rising_band("principal_directions", band_hz, plant.rate_hz)
@@ -52,7 +54,7 @@ def moved(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
     controller does anything, and the worst of all directions stays at 0 dB or above.
     """
     ny, nu = plant.D.shape
-    return principal(plant, band_hz)[:, max(ny - nu, 0) :]
+    return principal_directions(plant, band_hz)[:, max(ny - nu, 0) :]
 
 
 def driven(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) -> FloatArray:

@@ -14,6 +14,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import one_direction
 from ultraquiet.limits.directions import moved
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -46,6 +47,7 @@ class Distance:
     direction: FloatArray | None = None
 
 
+@takes_systems
 @single_threaded
 def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float], basis: int = 60) -> Distance:
     """Return how much more a band could be attenuated at the design's own peak of S and its own |K S|.

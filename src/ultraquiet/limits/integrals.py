@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.limits import half_plane
 from ultraquiet.limits.quadrature import nodes
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import feedback, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -34,6 +35,7 @@ class Integral:
     owed_db: float
 
 
+@takes_systems
 def bode_integral(plant: StateSpace, controller: StateSpace) -> Integral:
     """Return Bode's integral of a stable loop.
 
@@ -77,6 +79,7 @@ def bode_integral(plant: StateSpace, controller: StateSpace) -> Integral:
     return Integral("all frequencies", DB * (paid + _tail(slope, f)), DB * float(owes) / (2 * np.pi))
 
 
+@takes_systems
 def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integral, ...]:
     """Return Poisson's integral of a stable loop for every zero of the plant outside the stability region.
 
