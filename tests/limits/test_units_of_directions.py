@@ -5,7 +5,7 @@ import pytest
 from limit_plants import RATE_HZ, modal
 
 from ultraquiet.limits import by_direction
-from ultraquiet.limits.directions import _common
+from ultraquiet.limits.directions import _common, driven
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, series
 
@@ -69,3 +69,21 @@ def test_zeros_and_delay_are_those_of_the_plant(rng, shape):
             z = (1 + s / (2 * RATE_HZ)) / (1 - s / (2 * RATE_HZ))
             row = v @ plant.C @ np.linalg.solve(z * np.eye(plant.states) - plant.A, plant.B)
             assert np.linalg.norm(row) < 1e-6 * np.linalg.norm(v @ plant.C) * np.linalg.norm(plant.B)
+
+
+@pytest.mark.parametrize("channels", [2, 3])
+def test_a_limit_has_no_order_of_actuators(channels):
+    plant = append(*[LAG] * channels)
+    wired = StateSpace(plant.A, np.roll(plant.B, 1, axis=1), plant.C, plant.D, plant.rate_hz)
+    f = np.geomspace(*QUIET, 5)
+    for one, other in zip(
+        *(by_direction(G, QUIET, 6.0, control_gain=10.0, basis=12) for G in (plant, wired)), strict=True
+    ):
+        assert one.limit.status.ok, one.limit.status
+        assert other.limit.status.word == one.limit.status.word
+        assert other.limit.attenuation_db == pytest.approx(one.limit.attenuation_db, abs=1e-3)
+        assert other.limit.bound_db == pytest.approx(one.limit.bound_db, abs=1e-3)
+        assert other.coupling_db > 100
+    v = np.eye(channels)[:, 0]
+    assert np.all(driven(plant, v, QUIET) == v)
+    assert np.abs(v @ wired.frequency_response(f)[:, :, 0] @ driven(wired, v, QUIET)) > 0.1

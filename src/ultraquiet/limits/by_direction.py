@@ -27,8 +27,9 @@ class DirectionLimit:
 
     Attributes:
         direction: unit vector v over the plant's outputs.
-        limit: of the scalar loop v' G v. `attenuation_db` is reached by a controller that serves this direction alone,
-            as far as the direction keeps to itself; `bound_db` holds for any controller of all channels.
+        limit: of the scalar loop v' G w, w over the inputs v itself or what moves v' G most. `attenuation_db` is
+            reached by a controller that serves this direction alone, as far as the direction keeps to itself;
+            `bound_db` holds for any controller of all channels.
         coupling_db: how far what leaves the direction lies below what stays, at worst over the band.
     """
 

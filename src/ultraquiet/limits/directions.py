@@ -17,6 +17,9 @@ from ultraquiet.values.state_space import StateSpace
 BAND_POINTS = 60
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave a direction's function
 CIRCLE = 1 << 15  # points from 0 to pi on which the phase of a minimum-phase function is computed
+OWN_SHARE = (
+    0.5  # of the power that the best input vector moves: a direction that moves it by itself is driven by itself
+)
 NO_ANSWER = 1e-12  # a response this small beside the largest counts as that small
 LONGEST_DELAY = 64  # samples
 ROUNDED = 1e-9  # no answer above this share of the largest is taken for round-off
@@ -58,15 +61,17 @@ def moved(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
 
 
 def driven(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
-    """Return the unit vector over the inputs that stands for v: itself for a square plant.
+    """Return the unit vector over the inputs that stands for v: the one that moves v' G most in the mean over the band.
 
-    Else the one that moves v' G most in the mean over the band.
+    For a square plant v itself, as long as it moves v' G by a good share of that: where actuators are wired in another
+    order than sensors it may not move it at all.
     """
-    if plant.D.shape[0] == plant.D.shape[1]:
-        return v
     row = v @ np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
     row = row / np.maximum(np.linalg.norm(row, axis=1), np.finfo(float).tiny)[:, None]
-    return np.linalg.eigh(np.real(row.conj().T @ row))[1][:, -1]
+    shares = np.real(row.conj().T @ row)
+    largest, vectors = np.linalg.eigh(shares)
+    square = plant.D.shape[0] == plant.D.shape[1]
+    return v if square and v @ shares @ v >= OWN_SHARE * largest[-1] else vectors[:, -1]
 
 
 def along(plant: StateSpace, v: FloatArray, w: FloatArray) -> StateSpace:
