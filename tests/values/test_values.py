@@ -192,6 +192,37 @@ def test_descriptor_systems(rng):
         uq.StateSpace.from_descriptor([[1]], [[0, 1], [1, 0]], [[0], [1]], [[0, 1]], [[0]])
 
 
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
+def test_algebraic_variables_and_equations_have_no_units(rng, nu, ny):
+    A, B, C = rng.standard_normal((6, 6)), rng.standard_normal((6, nu)), rng.standard_normal((ny, 6))
+    E = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+    E[:4, :4] += 0.3 * rng.standard_normal((4, 4))
+    plain = uq.StateSpace.from_descriptor(E, A, B, C, np.zeros((ny, nu)))
+    assert plain.states == 4
+    f = [0.0, 0.1, 3.0]
+    for _ in range(5):
+        x, e = np.ones(6), np.ones(6)
+        x[4:], e[4:] = 10.0 ** rng.uniform(-12, 12, 2), 10.0 ** rng.uniform(-12, 12, 2)
+        M = (E * x * e[:, None], A * x * e[:, None], B * e[:, None], C * x)
+        other = uq.StateSpace.from_descriptor(*M, np.zeros((ny, nu)))
+        np.testing.assert_allclose(other.frequency_response(f), plain.frequency_response(f), rtol=1e-7)
+
+
+@pytest.mark.parametrize("newtons", [1.0, 1e-6, 1e-12])
+def test_a_force_between_a_spring_and_a_mass_has_any_unit(newtons):
+    """m v' = f, 0 = -k x - c v - f + u: stiff, so that the force is a small term of its own equation."""
+    k, c, m = 1e7, 1e2, 1.0
+    A = [[0, 1, 0], [0, 0, newtons / m], [-k, -c, -newtons]]
+    G = uq.StateSpace.from_descriptor(np.diag([1, 1, 0]), A, [[0], [0], [1]], [[1, 0, 0]], [[0]])
+    np.testing.assert_allclose(np.poly(G.poles()), [1.0, c / m, k / m], rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+def test_an_index_above_one_is_refused_in_any_unit(unit):
+    with pytest.raises(InputError, match="index above one"):
+        uq.StateSpace.from_descriptor([[1, 0], [0, 0]], [[0, unit], [1, 0]], [[0], [1]], [[0, unit]], [[0]])
+
+
 def test_channels_of_a_record_are_picked_by_name_or_index():
     record = uq.Record(np.zeros((2, 4)), np.arange(4.0), 10.0, actuators=["left", "right"])
     assert record.pick(["right"]).actuators == record.pick(1).actuators == record.pick([-1]).actuators

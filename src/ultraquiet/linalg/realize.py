@@ -152,8 +152,7 @@ def explicit(E: Array, A: Array, B: Array, C: Array, D: Array) -> Matrices:
     """
     if not E.size:
         return A, B, C, D
-    rows = _power(np.linalg.norm(np.hstack([E, A]), axis=1))
-    columns = _power(np.linalg.norm(E * rows[:, None], axis=0))
+    rows, columns = _units(E, A)
     U, s, Vt = np.linalg.svd(E * rows[:, None] * columns)
     rank = int(np.sum(s > OF_E * max(float(s[0]), np.finfo(float).tiny)))
     a = U.T @ (A * rows[:, None] * columns) @ Vt.T
@@ -177,6 +176,17 @@ def explicit(E: Array, A: Array, B: Array, C: Array, D: Array) -> Matrices:
         c[:, :rank] - c[:, rank:] @ xa,
         D - c[:, rank:] @ xb,
     )
+
+
+def _units(E: Array, A: Array) -> tuple[Array, Array]:
+    """Return factors of equations and variables, powers of two, that make the columns of E and the rows of both alike.
+
+    A variable without derivative and an equation without one are measured by A alone, for E knows nothing of them.
+    """
+    rows = _power(np.linalg.norm(np.hstack([E, A]), axis=1))
+    E, A = E * rows[:, None], A * rows[:, None]
+    columns = _power(np.linalg.norm(np.where(np.any(E, axis=0), E, A), axis=0))
+    return rows * np.where(np.any(E, axis=1), 1.0, _power(np.linalg.norm(A * columns, axis=1))), columns
 
 
 def _power(size: Array) -> Array:
