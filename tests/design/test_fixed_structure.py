@@ -9,7 +9,15 @@ from named_plants import bbmx, sensitivity_db
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
-from ultraquiet.design import FixedStructure, LeadLag, Specification, common_mode, four_block, synthesize_structured
+from ultraquiet.design import (
+    FixedStructure,
+    LeadLag,
+    Specification,
+    common_mode,
+    four_block,
+    synthesize_hinf,
+    synthesize_structured,
+)
 from ultraquiet.design.fixed_structure.tuning import posed
 from ultraquiet.design.law_structure.controller_structure import decentralised, one_element, repeated
 from ultraquiet.design.law_structure.elements import Dense, StablePairs
@@ -308,3 +316,21 @@ def test_a_law_that_makes_nothing_quieter_is_short_though_nothing_was_demanded()
     assert result.status.word == "short"
     assert result.details["attenuation_rms_db"] < 0.1
     assert "nothing gets quiet" in result.status.sentence
+
+
+NOTHING_FELT = {
+    "the control alone": StateSpace([[-1.0]], [[1.0, 0.0, 1.0]], [[0.0], [1.0]], [[0, 0, 1.0], [0, 1.0, 0]]),
+    "what is measured": StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[1.0, 1.0], [1.0, 0]], 10.0),
+    "nothing at all": StateSpace([[-1.0]], [[0.0, 1.0]], [[0.0], [1.0]], np.zeros((2, 2))),
+}
+
+
+@pytest.mark.parametrize("states", [0, 1])
+@pytest.mark.parametrize("name", NOTHING_FELT)
+def test_an_optimum_of_zero_is_one_that_can_be_met(name, states):
+    result = synthesize_structured(NOTHING_FELT[name], 1, 1, states=states, starts=1)
+    assert result.status.ok, result.status
+    assert result.achieved < 1e-9
+    assert result.details["optimum"] == 0
+    assert result.details["ratio"] == (1.0 if result.achieved == 0 else np.inf)
+    assert synthesize_hinf(NOTHING_FELT[name], 1, 1, regularise=True).achieved == 0

@@ -66,7 +66,8 @@ def synthesize_structured(
     Returns:
         A `DesignResult`: `gamma` the level on the refined grid, `achieved` the exact norm of the finished loop,
         `details["optimum"]` the least norm of any order and `details["ratio"]` achieved over it (nan where that
-        problem is singular). The problem is not convex: the result is a local minimum, the best of those found.
+        problem is singular, one where both are zero). The problem is not convex: the result is a local minimum, the
+        best of those found.
 
     Raises:
         InputError: sizes that do not fit.
@@ -109,7 +110,7 @@ def synthesize_structured(
         K, level, optimum = problem_units.law(K), level / problem_units.level, optimum / problem_units.level
         plant = StateSpace(given.A, given.B[:, -nu:], given.C[-ny:], given.D[-ny:, -nu:], given.rate_hz)
     achieved = hinf_norm(lft(given, K))[0]
-    details = {"optimum": optimum, "ratio": achieved / optimum, "theta": theta, "points": problem.samples.w.size}
+    details = {"optimum": optimum, "ratio": _ratio(achieved, optimum), "theta": theta, "points": problem.samples.w.size}
     return judged(plant, K, _Settings(n, stable, starts, seed), level, achieved, {}, details)
 
 
@@ -147,6 +148,12 @@ class _ExactNorm:
     def descended(self, theta: FloatArray) -> FloatArray:
         """Return parameters further down."""
         return bfgs(self.value, self.gradient, theta, DESCENTS, PATIENCE, STAGNANT)[0]
+
+
+def _ratio(achieved: float, optimum: float) -> float:
+    if optimum == 0:
+        return 1.0 if achieved == 0 else float("inf")
+    return achieved / optimum
 
 
 def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, float]:

@@ -31,7 +31,10 @@ class Regularised(NamedTuple):
     @property
     def cost(self) -> float:
         """What the weight costs: the norm over the smallest that any of them gave, less one."""
-        return self.found.achieved / min(self.norms.values()) - 1
+        least = min(self.norms.values())
+        if least == 0:  # of a problem that nothing need be felt of
+            return 0.0 if self.found.achieved == 0 else float("inf")
+        return self.found.achieved / least - 1
 
 
 def completed(P: StateSpace, ny: int, nu: int, weight: float) -> StateSpace:
