@@ -13,7 +13,7 @@ from ultraquiet.pipeline import preflight
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.store import entry as entries
 from ultraquiet.pipeline.store.contents import hashes_of
-from ultraquiet.pipeline.store.sources import list_of
+from ultraquiet.pipeline.store.sources import Sources, list_of, sources
 from ultraquiet.pipeline.study import StudyError, parse
 from ultraquiet.pipeline.tables.blending import with_matrices
 from ultraquiet.pipeline.walk import _located, walk
@@ -247,3 +247,87 @@ def test_a_blending_that_does_not_fit_is_refused_with_its_line_and_in_the_words_
     assert line == text.count("\n")
     assert "blending: 'sensors' must be (modes, sensors), (1, 2) here, got (1, 3)" in sentence
     assert not (tmp_path / "out").exists()
+
+
+BESIDE = """
+[study]
+title = "files beside a bench"
+[bench]
+object = "bench.py:make"
+[records]
+files = ["run.csv"]
+{more}
+[plant]
+method = "subspace"
+order = 2
+records = ["run"]
+[controllers.k.design]
+method = "lqg"
+"""
+BENCH = """
+import numpy as np, ultraquiet as uq
+def make():
+    names = [[f"{{side}} {{k}}" for k in range(1, n + 1)] for side, n in (("force", {nu}), ("speed", {ny}))]
+    return uq.bench.Wrapped(lambda u, d: np.zeros({ny}), lambda: None, 1000.0, *names)
+"""
+
+
+def beside_a_bench(folder: Path, ny: int, nu: int, more: str, columns: list[str]) -> Sources:
+    """What a study takes its records from whose file has these columns; the bench has forces and speeds in order."""
+    (folder / "bench.py").write_text(BENCH.format(ny=ny, nu=nu))
+    rows = np.random.default_rng(1).standard_normal((50, len(columns)))
+    np.savetxt(folder / "run.csv", rows, delimiter=",", header=",".join(columns), comments="")
+    (folder / "study.toml").write_text(BESIDE.format(more=more))
+    study = pipeline.load_study(folder / "study.toml")
+    mistakes = study.mistakes()
+    found = sources(study, folder, mistakes)
+    preflight.check(study, found.bench, found.names, found.listed, found.seen, mistakes)
+    return found
+
+
+def sides(ny: int, nu: int, turned: str = "") -> str:
+    """Both sides of a table of records, one of them from its last name to its first."""
+    names = {"inputs": [f"force {k + 1}" for k in range(nu)], "outputs": [f"speed {k + 1}" for k in range(ny)]}
+    return "\n".join(f"{key} = {each[::-1] if key == turned else each}" for key, each in names.items())
+
+
+SIZES = [(1, 1), (4, 3), (3, 5)]
+
+
+@pytest.mark.parametrize(("ny", "nu"), SIZES)
+def test_files_of_the_channels_and_the_rate_of_the_bench_are_taken(ny, nu, tmp_path):
+    columns = [f"force {k + 1}" for k in range(nu)][::-1] + [f"speed {k + 1}" for k in range(ny)][::-1]
+    found = beside_a_bench(tmp_path, ny, nu, f"rate_hz = 1000.0\n{sides(ny, nu)}", columns)
+    assert found.said == ()
+
+
+@pytest.mark.parametrize(("ny", "nu"), SIZES)
+def test_files_of_another_rate_than_the_bench_are_refused(ny, nu, tmp_path):
+    columns = [f"force {k + 1}" for k in range(nu)] + [f"speed {k + 1}" for k in range(ny)]
+    with pytest.raises(StudyError) as refused:
+        beside_a_bench(tmp_path, ny, nu, f"rate_hz = 2000.0\n{sides(ny, nu)}", columns)
+    ((line, sentence),) = refused.value.mistakes
+    assert line == BESIDE[: BESIDE.index("{more}")].count("\n") + 1
+    assert "'run' is sampled at 2000 Hz but the bench is sampled at 1000 Hz" in sentence
+
+
+@pytest.mark.parametrize(
+    ("ny", "nu", "key"), [(4, 3, "inputs"), (4, 3, "outputs"), (3, 5, "inputs"), (3, 5, "outputs")]
+)
+def test_channels_of_the_bench_in_another_order_are_refused(ny, nu, key, tmp_path):
+    columns = [f"force {k + 1}" for k in range(nu)] + [f"speed {k + 1}" for k in range(ny)]
+    with pytest.raises(StudyError) as refused:
+        beside_a_bench(tmp_path, ny, nu, f"rate_hz = 1000.0\n{sides(ny, nu, key)}", columns)
+    ((line, sentence),) = refused.value.mistakes
+    text = (tmp_path / "study.toml").read_text()
+    assert line == text[: text.index(f"{key} =")].count("\n") + 1
+    last, of = (f"force {nu}", "actuator") if key == "inputs" else (f"speed {ny}", "sensor")
+    n = nu if key == "inputs" else ny
+    assert f"'{last}' is {key[:-1]} 1 of 'run' and {of} {n} of the bench" in sentence
+    assert f"name '{key}' in the order of the bench, {last[:-1]}1, " in sentence
+
+
+def test_channels_of_other_names_are_taken_for_those_in_their_places_and_said(tmp_path):
+    more = 'rate_hz = 1000.0\ninputs = ["force 1"]\noutputs = ["a", "speed 2"]'
+    found = beside_a_bench(tmp_path, 2, 1, more, ["force 1", "a", "speed 2"])
+    assert found.said == ("the bench's sensors speed 1, speed 2 are taken for a, speed 2 of the files",)

@@ -179,6 +179,8 @@ def prepared(
             _write_study(settings, folder, beside)
             records, bench_key = copies.take(), None if bench is None else describe()
             say(f"read: {counted(len(records), 'record')}")
+            for sentence in found.said:
+                say(sentence)
         else:
             store = Records(listed, bench, describe, folder, say)
             store.claim(record_again)

@@ -18,6 +18,7 @@ from ultraquiet.experiments import ExperimentList
 from ultraquiet.files import read_record, reason
 from ultraquiet.files.mapping import load_mapping
 from ultraquiet.identify.record_checks import in_and_out
+from ultraquiet.pipeline.store.of_the_bench import require_of_bench, taken_for
 from ultraquiet.pipeline.study import RecordsTable, Study
 from ultraquiet.pipeline.tables.blending import BlendingTable, blended, in_modes, with_matrices
 from ultraquiet.values import Record
@@ -31,7 +32,7 @@ class Sources:
     """What a study's records come from, as far as it could be made.
 
     `own` is the bench, `bench` the one that is recorded, `seen` a bench or record of the channels and the rate that
-    laws have; `names` are those of the records, None where nobody can tell them.
+    laws have; `names` are those of the records, None where nobody can tell them; `said` is what stands for what.
     """
 
     own: Any
@@ -41,6 +42,7 @@ class Sources:
     seen: Any
     listed: ExperimentList | None
     names: tuple[str, ...] | None
+    said: tuple[str, ...] = ()
 
 
 def sources(settings: Study, beside: Path | None, mistakes: Mistakes) -> Sources:
@@ -53,6 +55,8 @@ def sources(settings: Study, beside: Path | None, mistakes: Mistakes) -> Sources
     before = len(mistakes)
     own, sound = _bench(settings, beside, mistakes)
     read = {} if settings.records is None else _read(settings.records, beside, mistakes, apart)
+    if settings.records is not None and own is not None:
+        require_of_bench(settings.records, own, read, mistakes)
     whole = sound and not apart and len(mistakes) == before
     bench, blending, seen = own, None, next(iter(read.values()), own)
     if settings.blending is not None:
@@ -68,7 +72,8 @@ def sources(settings: Study, beside: Path | None, mistakes: Mistakes) -> Sources
         listed = _listed(settings, beside, bench, mistakes, apart)
         names = None if listed is None else tuple(m.name for m in listed.measurements)
     _tell(apart, mistakes)
-    return Sources(own, bench, blending, read, seen, listed, names)
+    said = () if own is None else taken_for(own, read)
+    return Sources(own, bench, blending, read, seen, listed, names, said)
 
 
 def bench_of(settings: Study, beside: Path | None) -> Any:
