@@ -309,3 +309,62 @@ def test_the_red_button_leaves_no_voltage_on_a_bench(tmp_path, how):
         came_to_rest(sent)
     finally:
         used.close()
+
+
+BLENDED = """
+import numpy as np, ultraquiet as uq
+def make():
+    pole, nu, ny = 0.5, {nu}, {ny}
+    state, gains = np.zeros(ny), np.linspace(0.5, 1.0, ny * nu).reshape(ny, nu)
+    def step(u, d):
+        y = state.copy()
+        state[:] = pole * state + (1 - pole) * gains @ (u + d)
+        return y
+    names = [f"f {{k}}" for k in range(nu)] + [f"v {{k}}" for k in range(ny)]
+    wires = [uq.Channel(name, "{unit}", -50.0, 50.0) for name in names]
+    return uq.bench.Wrapped(step, lambda: state.fill(0), 1000.0, wires[:nu], wires[nu:])
+"""
+
+
+def blended_session(folder: Path, nu: int, ny: int, unit: str, control_rate_hz: float) -> Session:
+    """A study whose bench is driven through the sum of its actuators, at a fraction of its rate."""
+    made = Session(folder)
+    (made.folder / "list.toml").write_text(LIST.replace("stop_hz = 150.0, peak_v", "stop_hz = 100.0, peak"))
+    (made.folder / "bench.py").write_text(BLENDED.format(nu=nu, ny=ny, unit=unit))
+    blending = {"actuators": [[1.0]] * nu, "actuator_names": ["all"], "actuator_unit": unit, "averages": 1}
+    for table, values in (
+        ("bench", {"object": "bench.py:make"}),
+        ("experiment", {"list": "list.toml"}),
+        ("blending", {**blending, "control_rate_hz": control_rate_hz}),
+        ("closed_loop", {"band_hz": [20.0, 60.0]}),
+    ):
+        made.do({"op": "table", "table": table, "values": values})
+    return made
+
+
+@pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
+def test_a_law_of_a_study_in_modes_runs_on_the_bench_in_its_modes(tmp_path, nu, ny, unit):
+    made = blended_session(tmp_path / "study", nu, ny, unit, 500.0)
+    study = bench_work.study_of(made.state)
+    ((name, digest),) = bench_work.measured(made.folder, made.state)["records"].items()
+    made.do({"op": "measure", "name": name, "file": f"records/{name}.h5", "hash": digest})
+    record = made.make("data", name).value()
+    seen = bench_work.bench_of_plant(study, made.folder, record)
+    assert (seen.rate_hz, len(seen.actuators), len(seen.sensors)) == (500.0, 1, ny)
+    assert [c.name for c in seen.actuators] == ["all"]
+    raw = bench_work.bench_of(study, made.folder)
+    assert bench_work.bench_of_plant(study, made.folder, raw).rate_hz == 1000.0
+
+
+@pytest.mark.slow
+def test_a_loop_of_a_study_in_modes_is_measured_on_its_bench(tmp_path):
+    made = blended_session(tmp_path / "study", 2, 1, "N", 500.0)
+    ((name, digest),) = bench_work.measured(made.folder, made.state)["records"].items()
+    made.do({"op": "measure", "name": name, "file": f"records/{name}.h5", "hash": digest})
+    method = {"method": "subspace", "order": 2}
+    made.do({"op": "identify", "name": "m", "records": [name], "period_samples": None, "method": method})
+    made.do({"op": "design", "name": "k", "model": "m", "method": {"method": "lqg"}, "reduce": None})
+    found = bench_work.closed(made.folder, made.state, "k")["facts"]["units"]["bench"]
+    print(found)
+    assert found["stable"]
+    assert found["heard_hz"][1] < 250.0, "at the rate of the law"

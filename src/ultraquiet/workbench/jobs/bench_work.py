@@ -14,9 +14,11 @@ from ultraquiet.pipeline import control, load_study, walk
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import loop_plan
-from ultraquiet.pipeline.study import ClosedLoop
+from ultraquiet.pipeline.study import ClosedLoop, Study
+from ultraquiet.pipeline.tables.blending import blended, in_modes
 from ultraquiet.pipeline.walk import bench_of, measure
 from ultraquiet.signals import Signal
+from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import usual_level
 from ultraquiet.values.sketch import sketch_of
 from ultraquiet.workbench.engine.items import FOLDER
@@ -78,9 +80,10 @@ def live(folder: Path, state: Mapping[str, Any], signal: dict[str, Any], actuato
 def closed(folder: Path, state: dict[str, Any], law: str) -> dict[str, Any]:
     """Close the loop of a law on the bench of the study: does it settle, what does it do to tones and directions."""
     study = study_of(state)
-    bench = bench_of(study, folder)
     model = state["laws"][law]["model"]
     plant = work.make(folder, state, "models", model).value()
+    bench = bench_of_plant(study, folder, plant)
+    control.require_bench(bench, plant)
     system = work.make(folder, state, "laws", law).value()
     plan = loop_plan(ClosedLoop.model_validate(state["tables"].get("closed_loop", {})), bench, plant)
     with noted(f"close {law}"):
@@ -92,6 +95,23 @@ def closed(folder: Path, state: dict[str, Any], law: str) -> dict[str, Any]:
             sizes = principal_gains(S.values)
             curves[unit] = {"f_hz": S.f_hz.tolist(), "worst": sizes[0].tolist(), "best": sizes[-1].tolist()}
     return finite({"facts": to_plain(outcome.facts), "curves": curves})
+
+
+def bench_of_plant(study: Study, folder: Path, plant: StateSpace) -> Any:
+    """Return the study's bench with the channels and the rate of a plant.
+
+    What is measured for a study in modes is driven through them and read sensor by sensor; files that were dropped may
+    be in modes on both sides. Where none of these is the plant's, it is the bench itself.
+    """
+    own = bench_of(study, folder)
+    if study.blending is None:
+        return own
+    benches = (blended(own, study.blending, folder), in_modes(own, study.blending, beside=folder))
+    return next((bench for bench in benches if _wires(bench) == _wires(plant)), own)
+
+
+def _wires(system: Any) -> tuple[Any, ...]:
+    return system.rate_hz, *([c.name for c in side] for side in (system.actuators, system.sensors))
 
 
 def whole(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
