@@ -1,11 +1,16 @@
 """A study that `ultraquiet run` left, taken over onto the boards as it is."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from ultraquiet._base.errors import StorageError
+from ultraquiet.experiments import journal
 from ultraquiet.pipeline.identification import grouped
+from ultraquiet.pipeline.store.recorded import FOLDER
 from ultraquiet.pipeline.study import Study, reload_study
+from ultraquiet.workbench.engine.items import Item
 
 
 def steps_of(folder: Path) -> Iterator[dict[str, Any]]:
@@ -27,10 +32,28 @@ def steps_of(folder: Path) -> Iterator[dict[str, Any]]:
         yield {"op": "table", "table": "requirements", "values": asked}
 
 
+def measured_anew(folder: Path, items: Iterable[Item]) -> Iterator[dict[str, Any]]:
+    """Yield a step for every record that is another one than its item was made of, as the folder's journal says."""
+    finished: dict[str, str] = {}
+    with suppress(StorageError):  # whoever measures into the folder says so
+        entries = journal.entries(folder / FOLDER)
+        finished = {e["name"]: e["record"] for e in entries if e["event"] == "finished" and "record" in e}
+    for item in items:
+        name = Path(item.recipe.get("file", "")).stem
+        if item.recipe["op"] != "measure" or item.recipe.get("file") != f"{FOLDER}/{name}.h5":
+            continue
+        known = None
+        with suppress(StorageError):
+            known = item.recipe.get("hash") or item.facts.get("hash")
+        found = finished.get(name)
+        if found is not None and known is not None and found != known:
+            yield {**item.recipe, "name": item.name, "hash": found}
+
+
 def _boards(study: Study, folder: Path) -> Iterator[dict[str, Any]]:
-    names = sorted(path.stem for path in (folder / "records").glob("[!.]*.h5") if ".partial" not in path.name)
+    names = sorted(path.stem for path in (folder / FOLDER).glob("[!.]*.h5") if ".partial" not in path.name)
     for name in names:
-        yield {"op": "measure", "name": name, "file": f"records/{name}.h5"}
+        yield {"op": "measure", "name": name, "file": f"{FOLDER}/{name}.h5"}
     groups = grouped(names)
     wanted = [each for group in study.plant.records for each in groups.get(group, [group])]
     if not set(wanted) <= set(names):

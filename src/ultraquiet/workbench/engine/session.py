@@ -45,12 +45,11 @@ class Session:
         self._steps, self._cursor = self._read()
         self.version = 0
         self._state = self._replayed()
-        self._adopting = False
+        self._taking_over = False
         self._own = OwnFiles(self.folder, self.folder / FOLDER / WRITTEN)
         if self._steps:
             self._own.recognise(self._texts())
-        else:
-            self._adopt()
+        self._take_over()
 
     @property
     def state(self) -> State:
@@ -129,6 +128,13 @@ class Session:
             self._publish()
             self._told()
 
+    def measured_anew(self) -> None:
+        """Take the records that were measured once more since they came onto the boards; what was taken back stays."""
+        with self._lock:
+            for step in adopt.measured_anew(self.folder, self.items("data")):
+                steps = [*self._steps[: self._cursor], step, *self._steps[self._cursor :]]
+                self._change(steps, self._cursor + 1, applied(self._state, step))
+
     def stale(self, board: str, name: str) -> tuple[Item, str] | None:
         """Return what was made of an item before its inputs changed, and what changed; None where it is up to date."""
         item = self.item(board, name)
@@ -174,7 +180,7 @@ class Session:
 
         What a hand has written there is kept under another name; a study that is only taken over stays as it is.
         """
-        if self._adopting:
+        if self._taking_over:
             return
         self._own.write(self._texts())
         study_text.publish(self.folder, self._state)
@@ -200,12 +206,15 @@ class Session:
                 f"workbench: '{path}' cannot be read ({reason(error)}); move it away to begin anew on these records."
             ) from error
 
-    def _adopt(self) -> None:
-        self._adopting = True
-        for step in adopt.steps_of(self.folder):
-            self.do(step)
-        self._adopting = False
-        if self._steps and not any(self._own.is_foreign(*each) for each in self._texts().items()):
+    def _take_over(self) -> None:
+        """Begin with what `ultraquiet run` has left in the folder, a study or records that it measured anew."""
+        before, self._taking_over = len(self._steps), True
+        if not self._steps:
+            for step in adopt.steps_of(self.folder):
+                self.do(step)
+        self.measured_anew()
+        self._taking_over = False
+        if len(self._steps) > before and not any(self._own.is_foreign(*each) for each in self._texts().items()):
             self._publish()
 
     def _latest(self) -> dict[str, str]:

@@ -52,7 +52,8 @@ class _Report:
         if not state["model"] or not any(r["model"] == state["model"] for r in state["laws"].values()):
             say("report: a study needs a model and a law for it; choose both on their pages.")
             return
-        self.view.jobs.submit(WorkItem("run", "run the whole study", {}, {}))
+        session = self.view.session
+        self.view.jobs.submit(WorkItem("run", "run the whole study", {}, {}, lambda _: session.measured_anew()))
 
     def _show(self) -> None:
         folder = self.view.session.folder
