@@ -16,6 +16,7 @@ from ultraquiet.simulate.kick import ranges, rooms, swings
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sweeps.clock import SweepClock
 from ultraquiet.simulate.sweeps.directions import directions
+from ultraquiet.simulate.sweeps.lines import inverted, largest, over
 from ultraquiet.simulate.sweeps.rest import NOISE_LINES, Quiet, rest_of, smoothed
 from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits
@@ -382,25 +383,3 @@ def noise_rows(runs: Runs, noise: FloatArray) -> FloatArray:
 def still_moving(runs: Runs) -> FloatArray:
     """Return how far spectra of runs may be off, `(lines,)`, as they still moved when they ended."""
     return np.sqrt(np.sum(runs.open.max(axis=1) ** 2, axis=0))
-
-
-def over(heard: ComplexArray, sent: ComplexArray) -> ComplexArray:
-    """Return heard sent^+ at each line, `(ny, nu, lines)`."""
-    inverse = inverted(np.moveaxis(sent, 2, 0))
-    return np.moveaxis(np.moveaxis(heard, 2, 0) @ inverse, 0, 2).astype(np.complex128)
-
-
-def inverted(matrices: ComplexArray) -> ComplexArray:
-    """Return the inverses, or pseudo-inverses where they are not square, `(lines, columns, rows)`."""
-    square = matrices.shape[1] == matrices.shape[2]
-    try:
-        return (np.linalg.inv(matrices) if square else np.linalg.pinv(matrices)).astype(np.complex128)
-    except np.linalg.LinAlgError:  # a line at which nothing is heard
-        return np.linalg.pinv(matrices).astype(np.complex128)
-
-
-def largest(matrices: ComplexArray) -> FloatArray:
-    """Return the largest singular values, `(lines,)`, from the smaller of both Gram matrices."""
-    turned = np.conj(np.swapaxes(matrices, 1, 2))
-    gram = matrices @ turned if matrices.shape[1] < matrices.shape[2] else turned @ matrices
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[:, -1], 0.0))

@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import UnheardError
 from ultraquiet._base.shown.line import counted
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.simulate.open_loop import largest
+from ultraquiet.simulate.sweeps.lines import largest
 from ultraquiet.values import FrequencyResponse
 
 # A line is resolved when noise moves its largest singular value by less than this share: 0.4 dB. One that is not is

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.open_loop import largest
+from ultraquiet.simulate.sweeps.lines import largest
 
 # Lines to either side, in windows one after the other; a parabola through fewer than five leaves noise as it is.
 REACHES = (2, 4, 8, 16)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.simulate.open_loop import OpenBand, Runs, inverted, largest, noise_rows, still_moving
+from ultraquiet.simulate.open_loop import OpenBand, Runs, noise_rows, still_moving
 from ultraquiet.simulate.sensitivity.neighbours import together
+from ultraquiet.simulate.sweeps.lines import inverted, largest
 
 ROUNDING = 1e-9  # what is left of a deviation without noise
 
