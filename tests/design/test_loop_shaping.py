@@ -236,3 +236,18 @@ def test_integrator_in_the_weight_reaches_the_controller():
     assert result.status.ok
     assert np.abs(result.controller.poles() - 1).min() < 1e-9
     assert result.controller.states == 3  # the two of the shaped plant and the weight
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+@pytest.mark.parametrize(("channels", "gain"), [(1, 1.0), (3, -1.0), (2, 1e3)])
+@pytest.mark.parametrize("margin", [1.0, 1.05])
+def test_a_gain_without_states_gets_a_gain(rate_hz, channels, gain, margin):
+    """Of G = 1 the best law is -1, which leaves S = 1/2 at all frequencies: a loop that stands every change."""
+    one = np.eye(channels)
+    static = StateSpace(np.zeros((0, 0)), np.zeros((0, channels)), np.zeros((channels, 0)), gain * one, rate_hz)
+    result = LoopShaping(pre=1.0, margin=margin).design(static)
+    assert result.status.ok, result.status
+    assert result.controller.states == 0
+    np.testing.assert_allclose(result.controller.D, -gain * one, rtol=1e-9)
+    if abs(gain) == 1:
+        assert all(end.disk_all == np.inf for end in result.margins.values())

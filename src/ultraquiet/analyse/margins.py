@@ -154,7 +154,8 @@ def margins_of(S: StateSpace, f_hz: ArrayLike | None = None) -> tuple[Margins, l
     beside = ends(S.rate_hz) if f_hz is None else None
     crossings = channel_crossings(S, f, on_grid, beside)
     # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277)
-    disk = [1.0 / _peak_off_half(at, i, f, on_grid[i], beside) for i in range(S.D.shape[0])]
+    sizes = [_peak_off_half(at, i, f, on_grid[i], beside) for i in range(S.D.shape[0])]
+    disk = [1.0 / size if size > 0 else np.inf for size in sizes]  # S = 1/2 at all frequencies stands any change
     columns = (np.array(column) for column in zip(*map(_least, crossings), strict=True))
     return Margins(*columns, disk=np.array(disk)), crossings
 

@@ -174,7 +174,7 @@ def _regular(E: Array, size: float, pencil: Matrices) -> Matrices:
     """
     A, B, C, D = pencil
     U, s, Vt = np.linalg.svd(E)
-    r = int(np.sum(s > DESCRIPTOR_RANK * max(size, float(s[0]))))
+    r = int(np.sum(s > DESCRIPTOR_RANK * max(size, float(s.max(initial=0.0)))))
     A, B, C = U.T @ A @ Vt.T, U.T @ B, C @ Vt.T
     rest = np.linalg.solve(A[r:, r:], np.hstack([A[r:, :r], B[r:]]))
     AB = np.hstack([A[:r, :r], B[:r]]) - A[:r, r:] @ rest
