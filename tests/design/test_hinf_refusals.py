@@ -173,3 +173,12 @@ def test_weights_with_very_slow_or_fast_poles_are_solved(rate, slow_hz):
     assert result.status.ok, result.status
     assert abs(result.gamma / result.achieved - 1) < 1e-3
     assert result.details["second_opinion"].agrees, result.details["second_opinion"].sentence
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_a_level_whose_square_overflows_is_refused(unit):
+    B, C = [[1.0, 0.0, 1.0]], [[unit], [0.0], [1.0]]
+    P = StateSpace([[-1.0]], B, C, [[0, 0, 0], [0, 0, unit], [0, 1, 0]])
+    with pytest.raises(InputError, match=r"^synthesize_hinf: 'gamma' is 1e\+160, whose square overflows"):
+        synthesize_hinf(P, 1, 1, gamma=1e160)
+    assert synthesize_hinf(P, 1, 1, gamma=1e100).status.ok

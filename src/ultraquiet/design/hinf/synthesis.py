@@ -19,7 +19,7 @@ from ultraquiet.design.hinf.problem.units import EvenProblem, even_problem
 from ultraquiet.design.hinf.problem.verified import Reached, Verifier
 from ultraquiet.design.hinf.verification import WIDTH, heard
 from ultraquiet.design.result import DesignResult, refused
-from ultraquiet.values.door import takes_systems
+from ultraquiet.values.door import HUGE, takes_systems
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -240,6 +240,10 @@ def _completed(
 def _asked(v: Verifier, gamma: float) -> DesignResult:
     """Keep a level that was asked for, by either route, or refuse it."""
     even = gamma * v.problem.level
+    if even > HUGE:
+        raise InputError(
+            f"synthesize_hinf: 'gamma' is {gamma:g}, whose square overflows; ask for less, or leave it out."
+        )
     bracket = at_level(v.plant, even)
     proven = bool(bracket.best.reason) and bracket.proven >= even
     found = None if proven else v.at(even, bracket.best)
