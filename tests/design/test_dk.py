@@ -183,3 +183,11 @@ def test_slopes_of_a_gain_are_those_of_its_differences(rng, order):
     for k, turn in enumerate(step * np.eye(p.size)):
         ahead, behind = (magnitude_fit._log_gain(p + sign * turn, x, order) for sign in (1, -1))
         np.testing.assert_allclose(slopes[:, k], (ahead - behind) / (2 * step), atol=1e-8)
+
+
+def test_what_is_set_to_nothing_is_not_taken_for_absent():
+    lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], 100.0)
+    with pytest.raises(InputError, match=r"^MuSynthesis: the weight 'on_inputs' must be .* above zero.*, got 0"):
+        MuSynthesis(on_inputs=0, height=3.0).design(lag)
+    with pytest.raises(InputError, match=r"^MuSynthesis: 'roll_off_hz' .* 'control_limit'"):
+        MuSynthesis(roll_off_hz=20.0)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, rising_band, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
@@ -116,6 +117,11 @@ class MuSynthesis(StatedRobustness):
                 positive(WHO, name, getattr(self, name))
         if self.band_hz is not None:
             rising_band(WHO, self.band_hz)
+        if self.roll_off_hz is not None and self.control_limit is None:
+            raise InputError(
+                f"{WHO}: 'roll_off_hz' tells where the weight on K S rises, whose gain up to there is 'control_limit'; "
+                "give both or neither."
+            )
         whole(WHO, "iterations", self.iterations, 1, 50)
         whole(WHO, "scaling_order", self.scaling_order, 0, 10)
 
@@ -184,7 +190,7 @@ class MuSynthesis(StatedRobustness):
         band_hz = self.band_hz or (even_plant(plant).band_hz if needed else (0.0, 0.0))
         end = below_nyquist(self.roll_off_hz or FURTHER * band_hz[1], rate)
         settings: dict[str, tuple[Weight | None, int]] = {
-            "on_inputs": (self.on_inputs or (ERROR, below_nyquist(2 * band_hz[1], rate), ERROR_BEYOND), nu),
+            "on_inputs": (self._errors(band_hz, rate), nu),
             "on_outputs": (self.on_outputs, ny),
             "performance": (self.performance, ny),
             "control": (self.control, nu),
@@ -198,6 +204,11 @@ class MuSynthesis(StatedRobustness):
         weights = {k: weight(WHO, k, w, n, rate) for k, (w, n) in settings.items() if w is not None}
         weights["performance"] = with_tones(weights["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
         return weights
+
+    def _errors(self, band_hz: tuple[float, float], rate_hz: float | None) -> Weight:
+        if self.on_inputs is not None:
+            return self.on_inputs
+        return ERROR, below_nyquist(2 * band_hz[1], rate_hz), ERROR_BEYOND
 
     def _iterated(
         self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray
