@@ -334,3 +334,41 @@ def test_an_optimum_of_zero_is_one_that_can_be_met(name, states):
     assert result.details["optimum"] == 0
     assert result.details["ratio"] == (1.0 if result.achieved == 0 else np.inf)
     assert synthesize_hinf(NOTHING_FELT[name], 1, 1, regularise=True).achieved == 0
+
+
+LAG = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], 100.0)
+
+
+def test_a_disk_margin_of_zero_asks_for_nothing():
+    free, none = (Specification(band_hz=(1.0, 5.0), disk_margin=asked).on(LAG) for asked in (0.0, None))
+    names = [[wanted.name for wanted in each.requirements(LAG)[1]] for each in (free, none)]
+    assert names[0] == names[1] == ["attenuation", "peak", "control"]
+    static = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]], 100.0)
+    opposed = StateSpace(static.A, static.B, static.C, [[-1.0]], 100.0)
+    score = Specification(band_hz=(1.0, 5.0), disk_margin=0.5).score(static, opposed)
+    assert score.measured["disk_margin"] == np.inf
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"roll_off_hz": 0.0}, "'roll_off_hz' must be above zero"),
+        ({"roll_off_hz": -1.0}, "'roll_off_hz' must be above zero"),
+        ({"tones_hz": 0.0}, "'tones_hz' must be above zero"),
+        ({"tones_hz": (5.0, -1.0)}, "'tones_hz' must be above zero"),
+        ({"tones_hz": "abc"}, "'tones_hz' must be one number or several"),
+    ],
+)
+def test_frequencies_of_a_specification_are_checked(settings, said):
+    with pytest.raises(InputError, match=f"^Specification: {said}"):
+        Specification(**settings)
+    assert Specification(tones_hz=5.0) == Specification(tones_hz=(5.0,))
+
+
+@pytest.mark.parametrize("method", [FixedStructure, LeadLag, uq.design.PeakBounded], ids=lambda m: m.__name__)
+def test_a_seed_is_a_whole_number_from_zero(method):
+    for wrong in (-1, 0.5):
+        with pytest.raises(InputError, match=f"^{method.__name__}: 'seed' must be"):
+            method(seed=wrong)
+    with pytest.raises(InputError, match=r"^synthesize_structured: 'seed' must be"):
+        synthesize_structured(NOTHING_FELT["nothing at all"], 1, 1, seed=-1)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, positive, real_array
+from ultraquiet._base.constraints import FloatArray, positive, real_array, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
@@ -50,6 +50,7 @@ class ClassicalMethod(StatedRobustness):
         word = structure_word(type(self).__name__, self.structure, (REPEATED, DECENTRALISED))
         object.__setattr__(self, "structure", word)
         object.__setattr__(self, "specification", specified(self.specification))
+        whole(type(self).__name__, "seed", self.seed, 0)
         if isinstance(self.gain, list):
             object.__setattr__(self, "gain", tuple(self.gain))
 

@@ -80,6 +80,7 @@ class FixedStructure(StatedRobustness):
         if self.states is not None:
             whole(who, "states", self.states, 0)
         whole(who, "starts", self.starts, 1)
+        whole(who, "seed", self.seed, 0)
         object.__setattr__(self, "specification", specified(self.specification))
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, positive, rising_band
+from ultraquiet._base.constraints import FloatArray, between, numbers, positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
@@ -64,7 +64,8 @@ class Specification:
         peak_db: largest amplification of S anywhere.
         control_limit: largest singular value of K S, units of the actuators a unit of the sensors; absent, 130 times
             what inverts the plant's strongest direction where it is weakest in the band.
-        disk_margin: least 1 / ||S - I/2||, for gains and phases that change in all loops at once; None asks nothing.
+        disk_margin: least 1 / ||S - I/2||, for gains and phases that change in all loops at once; None or 0 asks
+            nothing.
         roll_off_hz, roll_off_db: from here on, |T| = |G K S| is to be at most -roll_off_db; None asks nothing.
         tones_hz, tone_db: worst direction of the attenuation at single frequencies.
 
@@ -97,6 +98,13 @@ class Specification:
             positive(who, "control_limit", self.control_limit)
         if self.disk_margin is not None:
             between(who, "disk_margin", self.disk_margin, 0.0, 2.0)
+        if self.roll_off_hz is not None:
+            positive(who, "roll_off_hz", self.roll_off_hz, "Hz")
+        tones = tuple(numbers(who, "tones_hz", self.tones_hz).tolist())
+        for tone in tones:
+            positive(who, "tones_hz", tone, "Hz")
+        if not np.ndim(self.tones_hz):  # one tone by itself is taken as one
+            object.__setattr__(self, "tones_hz", tones)
 
     def fits(self, who: str, plant: StateSpace) -> None:
         """Refuse a plant that is not square or too slow for the frequencies asked.
@@ -150,7 +158,8 @@ class Specification:
         wanted = {"attenuation_db": self.attenuation_db, "peak_db": -self.peak_db}
         if self.disk_margin is not None:
             half = StateSpace(S.A, S.B, S.C, S.D - np.eye(n) / 2, S.rate_hz)
-            measured["disk_margin"], wanted["disk_margin"] = 1 / hinf_norm(half)[0], self.disk_margin
+            size = hinf_norm(half)[0]
+            measured["disk_margin"], wanted["disk_margin"] = 1 / size if size else np.inf, self.disk_margin
         if self.roll_off_hz is not None:
             measured["roll_off_db"], wanted["roll_off_db"] = self._roll_off(S), self.roll_off_db
         for f in self.tones_hz:
@@ -179,7 +188,7 @@ class Specification:
             Requirement("peak", S, self._flat(10 ** (self.peak_db / 20)), hard=True),
             Requirement("control", KS, self._flat(_given(self.on(plant).control_limit)), hard=True),
         ]
-        if self.disk_margin is not None:
+        if self.disk_margin:
             wanted.append(Requirement("margin", half, self._flat(1 / self.disk_margin), hard=True))
         if self.roll_off_hz is not None:
             wanted.append(Requirement("roll-off", T, self._ended, hard=True))

@@ -84,7 +84,7 @@ def synthesize_structured(
     ny = whole(who, "measurements", measurements, 1, P.D.shape[0] - 1)
     nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
     n = whole(who, "states", states, 0)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(whole(who, "seed", seed, 0))
     given, problem_units = P, even_problem(P, ny, nu)
     if structure is None:  # of one whose every entry is free, units of u and y can be chosen
         P = problem_units.plant

@@ -151,7 +151,7 @@ def _achieved(wanted: Specification, score: Any) -> float:
         10 ** ((got["peak_db"] - wanted.peak_db) / 20),
         got["control_gain"] / _limit(wanted),
     ]
-    if wanted.disk_margin is not None:
+    if wanted.disk_margin:
         ratios.append(wanted.disk_margin / got["disk_margin"])
     if wanted.roll_off_hz is not None:
         ratios.append(10 ** ((wanted.roll_off_db - got["roll_off_db"]) / 20))

@@ -133,6 +133,7 @@ class PeakBounded(StatedRobustness):
                 positive(WHO, name, getattr(self, name))
         whole(WHO, "draws", self.draws, 0)
         whole(WHO, "steps", self.steps, 1)
+        whole(WHO, "seed", self.seed, 0)
         table(WHO, "peak_db", self.peak_db, logarithmic=False)
 
     @property
