@@ -24,6 +24,7 @@ from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.frames import packed
 from ultraquiet.workbench.web.guard import RequestGuard
 from ultraquiet.workbench.web.method_form import FEW
+from ultraquiet.workbench.web.pages.reduce import hankel_values
 
 METHODS = [
     (family, name) for family in ("signals", "identify", "design", "reduce") for name in registry.methods(family)
@@ -215,3 +216,18 @@ def test_without_its_package_a_sentence_says_what_to_install(tmp_path, monkeypat
     with pytest.raises(ToolError, match=r"pip install 'ultraquiet\[workbench\]'"):
         command.serve(tmp_path / "study")
     assert not (tmp_path / "study").exists()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e9])
+def test_hankel_values_of_a_law_that_integrates_are_those_of_its_stable_part(unit):
+    """Two coupled modes beside an integrator, one position and its speed in other units."""
+    A = np.zeros((5, 5))
+    A[:4, :4] = [[0, 1.0, 0, 0], [-400, -0.8, 100, 0], [0, 0, 0, 1], [50, 0, -2500, -3.0]]
+    B, C = np.array([[0], [1.0], [0], [2.0], [1.0]]), np.array([[100.0, 0, 30, 0, 1.0]])
+    alone = hankel_values(StateSpace(A[:4, :4], B[:4], C[:, :4], [[0.0]]))
+    d = np.array([unit, 1 / unit, 1.0, 1.0, 1.0])
+    found = hankel_values(StateSpace(A * d / d[:, None], B / d[:, None], C * d, [[0.0]]))
+    np.testing.assert_allclose(found, alone, rtol=1e-6)
+    assert alone.size == 4
+    sampled = StateSpace(np.diag([1.0, 0.5]), [[1.0], [1.0]], [[0.1, 0.01]], [[0.0]], 100.0)
+    np.testing.assert_allclose(hankel_values(sampled), [0.01 / 0.75])
