@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from ultraquiet.design import Lqg
+from ultraquiet.design import LoopShaping, Lqg
 from ultraquiet.linalg.balance import BOUNDARY, stable_first
 from ultraquiet.reduce import Balanced, ClosedLoopWeighted, FrequencyWeighted, HankelNorm
+from ultraquiet.reduce._abstract import split
+from ultraquiet.reduce.certificate import judging_plant
 from ultraquiet.reduce.promises import Judge, Promise
+from ultraquiet.reduce.stepwise import loop_gramians
+from ultraquiet.reduce.weighting import input_gramian
 from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import lft, sensitivity
 
 BOUNDED = (Balanced, HankelNorm)
 ALONE = (*BOUNDED, FrequencyWeighted)
@@ -86,3 +91,23 @@ def test_an_integrator_promises_a_band_and_not_the_round_off_at_rest(servo):
     lines = np.abs(1 / (1 - plant.frequency_response(grid) * law.frequency_response(grid)))[0, 0]
     print(f"{judge.before.band_db:.1f} dB in the band, {-20 * np.log10(lines.min()):.1f} dB at best")
     assert judge.before.band_db == pytest.approx(-10 * np.log10(lines.min()), rel=0.01)
+
+
+def test_gramians_behind_a_slow_weight_are_none_the_less_definite():
+    """A plant's loop shaped with a slow integrator has modes that last 10^5 samples and hardly show in its weights."""
+    A = [[0.98, 0.1, 0.0], [-0.1, 0.98, 0.0], [0.0, 0.0, 0.5]]
+    plant = StateSpace(A, [[0.0], [0.1], [0.1]], [[0.3, 1.0, 0.2]], [[0.0]], rate_hz=1000.0)
+    law = LoopShaping(integral_hz=1.0).design(plant).controller
+    assert law is not None
+    stable, _, _ = split(law)
+    W = sensitivity(plant, law)
+    P = input_gramian(stable, (W.A, W.B, W.C, W.D), discrete=True)
+    loop = lft(judging_plant(plant, None), law)
+    for each in (P, *loop_gramians(judging_plant(plant, None), loop, 1)):
+        values = np.linalg.eigvalsh(each)
+        print(f"{values[0]:.2e} to {values[-1]:.2e}")
+        assert values[0] > -1e-12 * values[-1]
+    for method in (FrequencyWeighted(), ClosedLoopWeighted(states=11)):
+        small = method.reduce(law, plant)
+        assert small.status.ok, small.status
+        assert small.controller.states < law.states

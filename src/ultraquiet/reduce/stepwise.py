@@ -73,9 +73,17 @@ def _sizes(usual: int, most: int) -> list[int]:
 
 def loop_gramians(P: StateSpace, loop: StateSpace, copies: int) -> tuple[FloatArray, FloatArray]:
     """Return the Gramians of the law's state inside the loop, for copies of a law their mean over the copies."""
-    both = balance.gramians(loop.A, loop.B, loop.C, P.rate_hz is not None)
+    both = _gramians(loop)
     controllability, observability = (mean_block(W[P.states :, P.states :], copies) for W in both)
     return controllability, observability
+
+
+def _gramians(loop: StateSpace) -> tuple[FloatArray, FloatArray]:
+    """Return the Gramians of a loop; in discrete time from their factors, which slow modes do not make indefinite."""
+    if loop.rate_hz is None:
+        return balance.gramians(loop.A, loop.B, loop.C, discrete=False)
+    R, L = balance.gramian_factors(loop.A, loop.B, loop.C, discrete=True)
+    return R @ R.T, L @ L.T
 
 
 def mean_block(gramian: FloatArray, copies: int) -> FloatArray:

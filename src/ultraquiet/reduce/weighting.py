@@ -4,7 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.equations import lyapunov, stein
+from ultraquiet.linalg.equations import lyapunov, stein_factor
 from ultraquiet.linalg.ordered import Matrices
 
 SINGULAR = 1e-12  # directions of a weight's Gramian below this share of the largest are left out of its inverse
@@ -27,10 +27,9 @@ def input_gramian(
     Aw, Bw, Cw, Dw = W
     big = np.block([[A, B @ Cw], [np.zeros((Aw.shape[0], n)), Aw]])
     drive = np.vstack([B @ Dw, Bw])
-    solve = stein if discrete else lyapunov
     if not _stable(Aw, discrete):
         raise NumericalError("frequency-weighted reduction: a weight is unstable; give one that is stable.")
-    whole = solve(big, drive @ drive.T)
+    whole = _gramian(big, drive, discrete)
     P = whole[:n, :n]
     if combination and Aw.shape[0]:
         inverse = np.linalg.pinv(whole[n:, n:], rcond=SINGULAR, hermitian=True)
@@ -40,7 +39,7 @@ def input_gramian(
     right = P - A @ P @ A.T if discrete else -(A @ P + P @ A.T)
     values, vectors = np.linalg.eigh((right + right.T) / 2)
     root = vectors * np.sqrt(np.abs(values))
-    return solve(A, root @ root.T)
+    return _gramian(A, root, discrete)
 
 
 def output_gramian(
@@ -60,6 +59,18 @@ def static(D: FloatArray) -> Matrices:
     """Return a weight without states."""
     p, m = D.shape
     return np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), D
+
+
+def _gramian(A: FloatArray, B: FloatArray, discrete: bool) -> FloatArray:
+    """Return the controllability Gramian of a stable system.
+
+    In discrete time from its factor: beside slow modes of a weight that hardly show in it, the solution of the equation
+    itself may come out indefinite where the states of the system are.
+    """
+    if not discrete:
+        return lyapunov(A, B @ B.T)
+    R = stein_factor(A, B)
+    return R @ R.T
 
 
 def _stable(A: FloatArray, discrete: bool) -> bool:
