@@ -132,8 +132,9 @@ def test_a_card_that_takes_nothing_any_more_is_named_to_whoever_stands_beside_it
 
 
 @pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("how", ["for good", "for a block"])
 @pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
-def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, unit, number, monkeypatch):
+def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, unit, how, number, monkeypatch):
     """Loops are closed in threads, which no signal reaches; asked again on the way down, it goes on."""
     monkeypatch.setattr(DEPARTURE, "_code", None)
     held = [np.zeros(nu)]
@@ -149,10 +150,15 @@ def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, u
     bench = Hardware(write, lambda: np.zeros(ny), RATE_HZ, actuators, sensors, interlocks)
     rising = np.minimum(np.arange(5000) * 0.05, 2.0) * np.ones((nu, 1))
     before = {each: signal.getsignal(each) for each in ENDINGS}
+    block = DEPARTURE.holding() if how == "for a block" else contextlib.nullcontext()
     try:
-        DEPARTURE.takes_signals()
-        with pytest.raises(SystemExit) as ended:
+        if how == "for good":
+            DEPARTURE.takes_signals()
+        with pytest.raises(SystemExit) as ended, block:
             in_threads("close", lambda _: bench.run(rising), ["bench"], 1)
+        if how == "for a block":
+            assert {each: signal.getsignal(each) for each in ENDINGS} == before
+            assert bench.run(rising[:, :60]).samples == 60, "a process that goes on is free to run again"
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)

@@ -1,5 +1,6 @@
 """A whole study, killed at moments spread over all its stages and run again: the same numbers, and no stray file."""
 
+import itertools
 import json
 import os
 import signal
@@ -153,3 +154,74 @@ def test_a_second_run_of_a_process_study_does_not_move_the_plant(run, tmp_path):
     code, _, err = run("run", study, "--out", "out")
     assert (code, "'command' was" in err) == (2, True)
     assert numbers(tmp_path / "out") == first
+
+
+RIG = """
+from pathlib import Path
+import numpy as np
+import ultraquiet as uq
+
+
+def make():
+    sent, state, out = np.zeros(2), np.zeros(2), open(Path(__file__).with_name("sent"), "a", buffering=1)
+
+    def write(u):
+        sent[:] = u
+        out.write(" ".join(map(str, u)) + "\\n")
+
+    def read():
+        state[:] = 0.9 * state + 0.1 * sent
+        return state + 1e-3 * np.sin(1e3 * state)
+
+    wires = [[uq.Channel(f"{side} {k}", "N", -5.0, 5.0) for k in range(2)] for side in ("force", "speed")]
+    return uq.bench.Hardware(write, read, 500.0, *wires, uq.bench.Interlocks(ramp_s=0.1), lambda: None)
+"""
+ON_THE_RIG = """
+[study]
+title = "guarded"
+[bench]
+object = "rig.py:make"
+[experiment]
+list = "list.toml"
+[plant]
+method = "subspace"
+order = 2
+records = ["push"]
+[controllers.calm.design]
+method = "lqg"
+"""
+PUSHES = """
+[[commands]]
+do = "excite"
+name = "push"
+samples = 3000
+actuator = "all"
+signal = { method = "noise", peak = 2.0 }
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_run_that_is_ended_while_it_closes_a_loop_leaves_a_guarded_bench_at_rest(tmp_path, number):
+    """Loops are closed in threads, which no signal reaches by itself."""
+    for name, text in (("rig.py", RIG), ("study.toml", ON_THE_RIG), ("list.toml", PUSHES)):
+        (tmp_path / name).write_text(text)
+    command = [sys.executable, "-m", "ultraquiet", "run", "study.toml", "--out", "out"]
+    with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
+        until = time.monotonic() + 120
+        while not (tmp_path / "out/stages/design-calm.json").exists() or not moving(tmp_path / "sent", 4000):
+            assert process.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        process.send_signal(number)
+        assert process.wait(60) == 128 + number
+    assert not (tmp_path / "out/stages/loop-calm.json").exists()
+    last = [[float(x) for x in line.split()] for line in (tmp_path / "sent").read_text().splitlines()[-20:]]
+    assert last[-1] == [0.0, 0.0]
+    assert max(abs(a - b) for one, other in itertools.pairwise(last) for a, b in zip(one, other, strict=True)) <= 0.1
+
+
+def moving(path: Path, most: int) -> bool:
+    """Whether a bench was sent more than so many commands, and was moving at the last of them."""
+    lines = path.read_text().splitlines()
+    return len(lines) > most and any(abs(float(x)) > 0.1 for x in lines[-2].split())

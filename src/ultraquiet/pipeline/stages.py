@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from threading import Lock
@@ -12,6 +12,8 @@ from ultraquiet._base.beside import Said
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import command
 from ultraquiet._base.threads import in_threads
+from ultraquiet.bench import Interlocks
+from ultraquiet.bench.hardware.termination import DEPARTURE
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, requirements
 from ultraquiet.pipeline import limits as attainable
@@ -80,7 +82,8 @@ class Stages(ModelStages):
                 jobs[_MODELS] = partial(self.judged, system, plan, models)
                 # what waits for another process takes no processor's time
                 workers = len(jobs) if far else None if several else 1
-                done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
+                with _ended_softly(self.bench):
+                    done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
                 laws = {name: law for name in names if (law := done[name].law) is not None}
                 designs.wait()  # it says what can be reached last
         identified, validated, analysed = done[_MODELS]
@@ -337,3 +340,8 @@ class _Controller:
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
     payload: Outcome[PayloadFacts] | None = None
+
+
+def _ended_softly(bench: Any) -> AbstractContextManager[None]:
+    """Return a block in whose threads a signal that ends the process brings a guarded bench to rest before."""
+    return DEPARTURE.holding() if isinstance(getattr(bench, "interlocks", None), Interlocks) else nullcontext()

@@ -2,6 +2,8 @@
 
 import signal
 import threading
+from collections.abc import Generator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -39,6 +41,24 @@ class Departure:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._leave)
 
+    @contextmanager
+    def holding(self) -> Generator[None]:
+        """Take signals that would end the process on the spot for the length of a block whose runs are in threads.
+
+        Handlers that somebody else has installed stay in charge; outside the main thread nothing can be done.
+        """
+        mine = threading.current_thread() is threading.main_thread()
+        before = [each for each in ENDINGS if mine and signal.getsignal(each) is signal.SIG_DFL]
+        try:
+            for number in before:
+                signal.signal(number, self._leave)
+            yield
+        finally:
+            for number in before:
+                signal.signal(number, signal.SIG_DFL)
+            if before:
+                self._code = None  # whoever goes on after this is free to run again
+
     def check(self) -> None:
         """End the run that asks, where the process is ending."""
         if self._code is not None:
@@ -48,7 +68,7 @@ class Departure:
         del frame
         if self._code is None:  # a second signal must not cut short what the first began
             self._code = FATAL + number
-            self.check()
+            raise SystemExit(self._code)
 
 
 DEPARTURE = Departure()
