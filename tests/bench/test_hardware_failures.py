@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -145,9 +146,10 @@ def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, u
             os.kill(os.getpid(), number)
 
     actuators = [Channel(f"u{k}", unit, -5.0, 5.0) for k in range(nu)]
-    interlocks = Interlocks(slew_per_s=100.0)
+    interlocks = Interlocks(slew_per_s=100.0, frame_s=60.0)
     sensors = [f"y{k}" for k in range(ny)]
-    bench = Hardware(write, lambda: np.zeros(ny), RATE_HZ, actuators, sensors, interlocks)
+    # a card that keeps the time, however busy this machine is
+    bench = Hardware(write, lambda: np.zeros(ny), RATE_HZ, actuators, sensors, interlocks, lambda: time.sleep(1e-3))
     rising = np.minimum(np.arange(5000) * 0.05, 2.0) * np.ones((nu, 1))
     before = {each: signal.getsignal(each) for each in ENDINGS}
     block = DEPARTURE.holding() if how == "for a block" else contextlib.nullcontext()
@@ -167,7 +169,7 @@ def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, u
     assert sent.max() > 1.5
     assert not sent[-1].any()
     assert np.abs(np.diff(sent, axis=0)).max() <= 100.0 / RATE_HZ * (1 + 1e-9)
-    assert len(sent) < 400, "the run did not go on"
+    assert len(sent) < 4000, "the run did not go on"
     assert DEPARTURE.way_down_s() == 0.0
 
 

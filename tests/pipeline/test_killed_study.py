@@ -174,7 +174,7 @@ def make():
         return state + 1e-3 * np.sin(1e3 * state)
 
     wires = [[uq.Channel(f"{side} {k}", "N", -5.0, 5.0) for k in range(2)] for side in ("force", "speed")]
-    return uq.bench.Hardware(write, read, 500.0, *wires, uq.bench.Interlocks(ramp_s=0.1), lambda: None)
+    return uq.bench.Hardware(write, read, 500.0, *wires, uq.bench.Interlocks(ramp_s=0.1, frame_s=60.0), lambda: None)
 """
 ON_THE_RIG = """
 [study]

@@ -13,7 +13,7 @@ from ultraquiet.workbench.jobs import bench_work, lane
 from ultraquiet.workbench.jobs.lane import STOP_FILE, Lane, WorkItem
 
 HARDWARE = """
-import os
+import time
 from pathlib import Path
 import numpy as np, ultraquiet as uq
 def make():
@@ -27,7 +27,8 @@ def make():
     return uq.bench.Hardware(
         write=write, read=lambda: np.zeros({ny}), rate_hz=500.0,
         actuators=[uq.Channel(f"u{{k}}", "{unit}", -10.0, 10.0) for k in channels],
-        sensors=[uq.Channel(f"y{{k}}", "{unit}/s", -50.0, 50.0) for k in range({ny})])
+        sensors=[uq.Channel(f"y{{k}}", "{unit}/s", -50.0, 50.0) for k in range({ny})],
+        interlocks=uq.bench.Interlocks(frame_s=60.0), wait=lambda: time.sleep(2e-3))  # a card keeps the time
 """
 PUSH = """
 [[commands]]
@@ -100,7 +101,7 @@ def stand_in(folder: Path, monkeypatch, way: str) -> Lane:
     (folder / "stand_in.py").write_text(STAND_IN.format(way=way))
     monkeypatch.setenv("PYTHONPATH", str(folder))
     monkeypatch.setattr(lane, "WORKER", "stand_in")
-    monkeypatch.setattr(lane, "SOFT_S", 0.1)
+    monkeypatch.setattr(lane, "SOFT_S", 5.0 if way == "asks" else 0.1)  # who asks needs none of it
     return Lane(folder, lambda: None)
 
 
