@@ -226,7 +226,7 @@ def test_what_cannot_be_drawn_or_judged_is_said():
         campaign(units=(("pair", pair),))
     with pytest.raises(InputError, match="at least one bench"):
         campaign(units=())
-    with pytest.raises(InputError, match="'band_hz' must end below half the rate of 'one', 100 Hz, got 100"):
+    with pytest.raises(InputError, match="'band_hz' ends at 100 Hz, not below Nyquist's 100 Hz"):
         campaign(band_hz=(50.0, 100.0))
     with pytest.raises(InputError, match="'on' must be"):
         campaign(on="paper")

@@ -48,12 +48,6 @@ def modal(A: Array, B: Array, C: Array) -> Coordinates:
     return _even(inverse @ A @ T, inverse @ B, C @ T, T, inverse, sizes)
 
 
-def scaled(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C and d with every state scaled, x_old = d x, so that its input and output sizes are alike."""
-    d = _ratio(np.linalg.norm(C, axis=0), np.linalg.norm(B, axis=1))
-    return A * (1 / d) / (1 / d)[:, None], B * d[:, None], C / d, 1 / d
-
-
 def gramians(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
     """Return the controllability and observability Gramians of a stable system."""
     if not discrete:

@@ -315,7 +315,8 @@ def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:
     if study.payload is None:
         return
     try:
-        heard = simulate.OpenPayload(bench, study.payload.setup(study.closed_loop.tones_hz)).bench
+        tones_hz = [f for f in study.closed_loop.tones_hz if f < bench.rate_hz / 2]  # others are told where they stand
+        heard = simulate.OpenPayload(bench, study.payload.setup(tones_hz)).bench
         force = [] if study.payload.force is None else [study.payload.force]
         sources = [place_of(name, heard.actuators, "payload", "actuator") for name in (study.payload.shaker, *force)]
     except UltraquietError as error:
