@@ -15,7 +15,7 @@ import pytest
 from drawable import LAW, Drawable
 
 import ultraquiet as uq
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet.analyse import peak_sensitivity
 from ultraquiet.bench.from_file import from_file
 from ultraquiet.simulate import Campaign, drawn_bench, drawn_parameters, is_of, run_campaign
@@ -207,6 +207,19 @@ def test_what_drives_a_figure_is_found_and_failures_are_named():
     assert findings.spread(rows, "peak_db")["100%"] == np.inf
     noise = [{**row, "drawn: idle": float(k * 7919 % 61)} for k, row in enumerate(rows)]
     assert "drawn: idle" not in {driver.parameter for driver in findings.drivers(noise, "peak_db")}
+
+
+def test_a_bench_that_fails_costs_its_case_and_no_other():
+    class Loose(Drawable):
+        def drawn(self, seed):
+            def pulled(u, d):
+                raise BenchError("Rig: the cable was pulled.")
+
+            return uq.bench.Wrapped(pulled, lambda: None, 200.0, ["coil"], ["gap"])
+
+    row = campaign(units=(("loose", Loose()),), on="bench").evaluate(0)
+    assert not row["stable"]
+    assert row["status"] == "not measured: Rig: the cable was pulled."
 
 
 def test_the_table_is_read_back_by_others(tmp_path):

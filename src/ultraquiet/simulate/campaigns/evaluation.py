@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, one_of, rising_band, whole
-from ultraquiet._base.errors import InputError, UltraquietError, UnheardError
+from ultraquiet._base.errors import BenchError, InputError, UltraquietError, UnheardError, of_the_loop
 from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet._base.threads import one_blas_thread
 from ultraquiet.analyse.peaks import beside_poles
@@ -135,15 +135,20 @@ class Campaign:
         return made.law, {"tuned": str(made.status), "fit_error": made.fit_error}
 
     def _measured(self, bench: Bench, law: StateSpace) -> Row:
-        check = check_stability(bench, law)
+        try:
+            check = check_stability(bench, law)
+        except UltraquietError as error:  # of the bench or of what was asked: the case is lost, the others are not
+            return _lost(f"not measured: {error}")
         if not check.status.ok:
             return _lost(str(check.status))
         try:
-            found = measure_sensitivity(bench, law)
+            found = measure_sensitivity(bench, law, down_to_hz=self.band_hz[0])
             attenuation = found.worst_in_band_db(*self.band_hz)
         except UltraquietError as error:
             if isinstance(error, UnheardError) or error.of_question:
                 return {**_lost(f"not measured: The loop settles. {error}"), "stable": True}
+            if isinstance(error, BenchError) and not of_the_loop(error):
+                return _lost(f"not measured: {error}")
             # A law that runs away under a stronger disturbance is a finding about the law.
             return _lost(f"unstable: Under disturbances the loop ran away: {error}")
         return {
