@@ -243,3 +243,13 @@ def test_a_study_puts_its_law_on_and_tells_every_step():
     refused = commissioned("calm", law(1, 1), LinearBench(plant(1, 1, gain=0.0)), plan, table).facts.units["bench"]
     assert not refused.ok
     assert "moves no sensor" in refused.status
+
+
+@pytest.mark.parametrize(("size", "said"), [(-30.0, "finite commands"), (0.9, "readings were no longer finite")])
+def test_a_loop_without_limits_that_runs_away_is_unstable(size, said):
+    """Nothing ends it but the range of numbers, of what is commanded or of what is read, whichever ends first."""
+    G = StateSpace([[0.9]], [[10.0]], [[1.0]], [[0.0]], RATE_HZ)
+    found = commission(LinearBench(G), gain([[size]], RATE_HZ), BAND_HZ, gains=(1.0,), **HOW)
+    print(found.status)
+    assert found.status.word == "unstable"
+    assert said in found.status.sentence

@@ -106,6 +106,11 @@ def of_the_loop(error: BaseException) -> bool:
     return isinstance(error, RunawayError) or (isinstance(error, InterlockError) and error.of_level)
 
 
+def blames_no_law(error: UltraquietError) -> bool:
+    """Return whether an error that ended a closed loop is one of the question or of the bench, and no verdict."""
+    return error.of_question or (isinstance(error, BenchError) and not of_the_loop(error))
+
+
 def signal_name(number: int) -> str:
     """Return how a signal that ended a program is called; those of real time have numbers alone.
 

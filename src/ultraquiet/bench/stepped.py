@@ -272,7 +272,7 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
 def require_standing(who: str, y: FloatArray, k: int) -> None:
     """Refuse readings of a model that are no longer finite numbers."""
     if not few_finite(y):
-        raise InputError(
+        raise RunawayError(
             f"{who}: at sample {k} the plant's readings were no longer finite numbers: it ran away; make the run"
             " shorter or give a controller that holds it."
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import BenchError, InputError, UltraquietError, UnheardError, of_the_loop
+from ultraquiet._base.errors import InputError, UltraquietError, UnheardError, blames_no_law
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup, older_names
 from ultraquiet._base.tables import Method
@@ -256,7 +256,7 @@ def _closed_on(
     except UnheardError as error:
         return UnstableLoop(status=f"not measured: The loop settles. {error}"), (None, None)
     except UltraquietError as error:
-        if error.of_question or (isinstance(error, BenchError) and not of_the_loop(error)):
+        if blames_no_law(error):
             raise
         # A law that runs away under a stronger disturbance is a finding about the law.
         return UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}"), (None, None)

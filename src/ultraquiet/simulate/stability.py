@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.errors import BenchError, InputError, UltraquietError, of_the_loop
+from ultraquiet._base.errors import InputError, UltraquietError, blames_no_law
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
 from ultraquiet.simulate.growth.lowered import within_limits
@@ -114,8 +114,8 @@ def check_stability(
         `LoopCheck`: verdict, growth and frequency of the slowest mode.
 
     Raises:
-        InputError: a duration too short to see anything; a law or model that does not fit.
-        InputError: an actuator that may not go to either side of zero.
+        InputError: a duration too short to see anything; a law or model that does not fit; an actuator that may not go
+            to either side of zero.
         BenchError: the bench failed, came too late or was stopped by hand, which is no fault of the law.
     """
     longest = _longest(bench.rate_hz, duration_s)
@@ -129,7 +129,7 @@ def check_stability(
         if seen.word is StatusWord.OK:
             seen = sticking(bench, controller, bursts, seen) or ramping(bench, _linear(controller), seen) or seen
     except UltraquietError as error:
-        if error.of_question or (isinstance(error, BenchError) and not of_the_loop(error)):
+        if blames_no_law(error):
             raise  # a cable, a machine that came too late, an emergency stop: they say nothing of the law
         silent = [np.full(len(c), np.nan) for c in (bench.sensors, bench.actuators)]
         status = Status(StatusWord.UNSTABLE, f"The loop runs away on this bench: {error}")

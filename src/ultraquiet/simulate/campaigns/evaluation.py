@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, one_of, rising_band, whole
-from ultraquiet._base.errors import BenchError, InputError, UltraquietError, UnheardError, of_the_loop
+from ultraquiet._base.errors import InputError, UltraquietError, UnheardError, blames_no_law
 from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet._base.threads import one_blas_thread
 from ultraquiet.analyse.peaks import beside_poles
@@ -147,7 +147,7 @@ class Campaign:
         except UltraquietError as error:
             if isinstance(error, UnheardError) or error.of_question:
                 return {**_lost(f"not measured: The loop settles. {error}"), "stable": True}
-            if isinstance(error, BenchError) and not of_the_loop(error):
+            if blames_no_law(error):
                 return _lost(f"not measured: {error}")
             # A law that runs away under a stronger disturbance is a finding about the law.
             return _lost(f"unstable: Under disturbances the loop ran away: {error}")

@@ -94,8 +94,10 @@ def _lower(
             if (below := next(lower, None)) is None:
                 break
             bands.insert(0, LoopPair(below, controller).at(None, most_hidden=0.0 if rises else HIDDEN))
-        except InputError:  # a bench that refuses runs of that length is heard no further down
-            break
+        except InputError as error:
+            if not error.of_question:
+                raise
+            break  # a bench that refuses runs of that length is heard no further down
     return bands
 
 
