@@ -222,15 +222,17 @@ def swings(who: str, actuators: Sequence[Channel]) -> FloatArray:
     return own
 
 
-def rooms(sensors: Sequence[Channel], rest: FloatArray) -> FloatArray:
-    """Return how far each reading may go to either side of where it rests, `rest` `(ny,)`.
+def rooms(sensors: Sequence[Channel], rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return from where each reading is counted and how far it may go to either side of that, `(ny,)` each.
 
-    Of a range about zero that is counted from zero: where it rests says little of where it will swing about.
+    That is where it rests, `rest`; of a range about zero it is zero: where it rests says little of where it will swing
+    about.
     """
     own, (low, high) = ranges(sensors), (end[:, 0] for end in _ends(sensors))
     aside = own < ASIDE * (high - low)
     span = np.where(np.isfinite(high - low), high - low, 1.0)
-    return np.where(aside, np.maximum(np.minimum(high - rest, rest - low), LEAST_ROOM * span), own)
+    room = np.maximum(np.minimum(high - rest, rest - low), LEAST_ROOM * span)
+    return np.where(aside, rest, 0.0), np.where(aside, room, own)
 
 
 def kicked(bench: Bench, law: StateSpace | Controller, burst: Burst) -> FreeResponse:
@@ -319,7 +321,7 @@ def _rise(bench: Bench, found: FreeResponse, levels: FloatArray) -> float:
     total = a + b
     noise, size = (np.abs(x).max(axis=1) / 2 for x in (total - total.mean(axis=1, keepdims=True), a - b))
     rest = total[: len(bench.sensors)].mean(axis=1) / 2
-    own = rooms(bench.sensors, rest), ranges(bench.actuators), ranges(bench.actuators)
+    own = rooms(bench.sensors, rest)[1], ranges(bench.actuators), ranges(bench.actuators)
     allowed = USED_RANGE * np.concatenate(own)
     # what may hide in the noise is taken to be half of it: a burst raised as if it were nothing ends at the limits
     hidden = np.minimum(noise / 2, allowed[: noise.size] / NEAR)
@@ -336,7 +338,7 @@ def _coloured(burst: Burst, found: FreeResponse, bench: Bench) -> Burst:
     y = np.vstack([np.subtract(*(getattr(run, end) for run in found.runs)) / 2 for end in ("outputs", "inputs")])
     y = y[:, : 2 * burst.length]  # later, what rings longest would count most, and be driven least
     rest = np.mean([run.outputs.mean(axis=1) for run in found.runs], axis=0)
-    unit = np.concatenate([rooms(bench.sensors, rest), ranges(bench.actuators)])
+    unit = np.concatenate([rooms(bench.sensors, rest)[1], ranges(bench.actuators)])
     own = np.abs(y).max(axis=1)
     unit = np.where(np.isfinite(unit), unit, np.maximum(own, np.finfo(float).tiny))
     size = np.abs(np.fft.rfft(y / unit[:, None], axis=1)).max(axis=0)[1:]

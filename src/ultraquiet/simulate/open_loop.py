@@ -149,15 +149,18 @@ class OpenBand:
     @cached_property
     def units(self) -> FloatArray:
         """Range of each sensor; where nothing limits it, so many times its noise, or one."""
-        own = rooms(self.bench.sensors, self.resting.readings.mean(axis=1))
+        own = self._rooms[1]
         loud = LOUD * self.quiet_rms
         return np.where(np.isfinite(own), own, np.where(loud > 0, loud, 1.0))
 
-    @cached_property
+    @property
     def centre(self) -> FloatArray:
         """Where readings are counted from: zero, or where one rests whose range does not lie about zero, `(ny,)`."""
-        aside = np.isfinite(self.units) & (self.units != ranges(self.bench.sensors))
-        return np.where(aside, self.resting.readings.mean(axis=1), 0.0)
+        return self._rooms[0]
+
+    @cached_property
+    def _rooms(self) -> tuple[FloatArray, FloatArray]:
+        return rooms(self.bench.sensors, self.resting.readings.mean(axis=1))
 
     @cached_property
     def shapes(self) -> ComplexArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench, Streaming
-from ultraquiet.simulate.kick import ranges, rooms
+from ultraquiet.simulate.kick import rooms
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
@@ -227,8 +227,6 @@ def open_levels(bench: Bench, injection: Injection, share: float, settle: int, m
 
 def _used(bench: Bench, y: FloatArray) -> float:
     """Return the largest share of a reading's range that was used, about zero or where the reading rests."""
-    rest = y.mean(axis=1)
-    room = rooms(bench.sensors, rest)
-    about_zero = room == ranges(bench.sensors)
-    swing = np.where(about_zero, np.abs(y).max(axis=1), np.abs(y - rest[:, None]).max(axis=1))
+    centre, room = rooms(bench.sensors, y.mean(axis=1))
+    swing = np.abs(y - centre[:, None]).max(axis=1)
     return float(np.max(np.where(np.isfinite(room), swing / room, 0.0)))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.simulate.payload.spectrum import PeriodSpectrum
@@ -82,22 +83,23 @@ class PayloadReduction:
                 gains.append(np.sqrt(power / even))
             else:
                 at, base = heard.base.together(width_hz)
-                inside = (at >= self.band_hz[0]) & (at <= self.band_hz[1])
-                gains.append(np.sqrt(power / base[inside]))
+                gains.append(np.sqrt(power / base[self._inside(at)]))
         return f, gains[0], gains[1]
 
     def _shown(self, width_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return frequencies of the band and the density of all sensors, without and with the law."""
         width_hz = self._width(width_hz)
         (f, opened), (_, closed) = (h.payload.together(width_hz) for h in (self.opened, self.closed))
-        inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
+        inside = self._inside(f)
         return f[inside], opened[inside], closed[inside]
 
     def _width(self, width_hz: float) -> float:
         """Return over what lines are meant: that of a single line where no mean lies inside the band."""
-        f, _ = self.opened.payload.together(width_hz)
-        some = np.any((f >= self.band_hz[0]) & (f <= self.band_hz[1]))
+        some = self._inside(self.opened.payload.together(width_hz)[0]).any()
         return width_hz if some else self.opened.payload.line_hz
+
+    def _inside(self, f_hz: FloatArray) -> NDArray[np.bool_]:
+        return (f_hz >= self.band_hz[0]) & (f_hz <= self.band_hz[1])
 
     def _band(self, low_hz: float | None, high_hz: float | None) -> tuple[float, float]:
         low, high = self.band_hz
