@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import counted
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
@@ -79,8 +79,7 @@ def _unit(plant: StateSpace) -> StateSpace:
     for _ in range(ROUNDS):
         B = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
         C = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), np.finfo(float).tiny)
-        d = even_scale(A, B, C)
-        A, B, C = A * d / d[:, None], B / d[:, None], C * d
+        A, B, C, _ = even_states(A, B, C)
     return StateSpace(A, B, C, plant.D, plant.rate_hz)
 
 

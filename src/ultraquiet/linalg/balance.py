@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.linalg.equations import lyapunov_both, stein, stein_factor
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
@@ -131,8 +131,7 @@ def without_hidden(M: Matrices, share: float, discrete: bool) -> Matrices:
     have, and what moves and sees them is the same; below `HIDDEN` of the largest value nothing does.
     """
     A, B, C, D = M
-    d = even_scale(A, B, C)
-    A, B, C = A * d / d[:, None], B / d[:, None], C * d
+    A, B, C, _ = even_states(A, B, C)
     T, inverse, count = stable_first(A, discrete, BOUNDARY)
     A, B, C = inverse @ A @ T, inverse @ B, C @ T
     slowed = _slowed(A, discrete)

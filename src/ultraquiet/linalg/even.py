@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.linalg.ordered import real_schur
+from ultraquiet.linalg.ordered import Array, real_schur
 
 SWEEPS = 20  # a handful settles it
 TANGLED = 1.5  # norm of A over its largest eigenvalue, beyond which terms of A cancel that rounding makes part of
@@ -55,6 +55,12 @@ def even_scale(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     return d[:n] / d[n]
 
 
+def even_states(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array, Array]:
+    """Return A, B and C in the states x / d of `even_scale`, and d."""
+    d = even_scale(A, B, C)
+    return A * d / d[:, None], B / d[:, None], C * d, d
+
+
 def untangled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return A, B, C in even coordinates in which A is hardly larger than its eigenvalues; as they are where it is not.
 
@@ -63,13 +69,10 @@ def untangled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, 
     """
     if not A.size:
         return A, B, C
-    d = even_scale(A, B, C)
-    a, b, c = A * d / d[:, None], B / d[:, None], C * d
+    a, b, c, _ = even_states(A, B, C)
     size = np.linalg.norm(a) / (TANGLED * np.sqrt(len(a)))
     # the mean square of the eigenvalues is no more than the square of the largest, and quickly there
     if size**2 <= abs(float(np.sum(a * a.T))) / len(a) or size <= np.abs(np.linalg.eigvals(a)).max():
         return A, B, C
     T, Q = real_schur(a)
-    b, c = Q.T @ b, c @ Q
-    d = even_scale(T, b, c)
-    return T * d / d[:, None], b / d[:, None], c * d
+    return even_states(T, Q.T @ b, c @ Q)[:3]

@@ -8,7 +8,7 @@ from scipy.linalg import lu_factor, lu_solve
 from ultraquiet.linalg.balance import modal, stable_first
 from ultraquiet.linalg.discretize import bilinear_to_continuous
 from ultraquiet.linalg.equations import lyapunov, stein
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.modal_response import Residues, split
 from ultraquiet.linalg.ordered import Array
 
@@ -53,8 +53,7 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
     the bilinear map, which keeps every gain. An unstable system gives infinity at its fastest growing mode. Units of
     states, powers of two at least, do not count.
     """
-    d = even_scale(A, B, C)
-    A, B, C = A * d / d[:, None], B / d[:, None], C * d
+    A, B, C, _ = even_states(A, B, C)
     poles = np.linalg.eigvals(A)
     growth = np.abs(poles) - 1 if discrete else poles.real
     if poles.size and growth.max() >= 0:
@@ -280,9 +279,8 @@ def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
         return np.inf
     if not discrete and np.any(D != 0):
         return np.inf
-    d = even_scale(A, B, C)
     # even blocks: a lightly damped mode beside a large coupling would lose its digits
-    form = modal(A * d / d[:, None], B / d[:, None], C * d)
+    form = modal(*even_states(A, B, C)[:3])
     B = form.B
     Q = (stein if discrete else lyapunov)(form.A.T, form.C.T @ form.C)
     total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)
@@ -294,8 +292,7 @@ def axis_mean_square(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
 
     Stable and unstable part are orthogonal; the unstable one counts by its image, mirrored at the stability boundary.
     """
-    d = even_scale(A, B, C)
-    A, B, C = A * d / d[:, None], B / d[:, None], C * d
+    A, B, C, _ = even_states(A, B, C)
     T, inverse, stable = stable_first(A, discrete)
     A, B, C = inverse @ A @ T, inverse @ B, C @ T
     good, bad = slice(stable), slice(stable, None)

@@ -12,7 +12,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.ordered import Matrices, diagonal_eigenvalues, real_schur
 from ultraquiet.reduce.promises import Delivered
 from ultraquiet.values.state_space import StateSpace
@@ -85,8 +85,7 @@ def split(system: StateSpace, slowest_hz: float = 0.0) -> StableSplit:
     decay = 2 * np.pi * slowest_hz
     rate_hz, n = system.rate_hz, system.states
     # orthogonal transformations keep the digits of large states only: all are made alike first
-    d = even_scale(system.A, system.B, system.C)
-    A, B, C = system.A * d / d[:, None], system.B / d[:, None], system.C * d
+    A, B, C, d = even_states(system.A, system.B, system.C)
     # the border of decay becomes the border of stability
     shifted = A * np.exp(decay / rate_hz) if rate_hz else A + decay * np.eye(n)
     form, U = real_schur(shifted) if n else (shifted, shifted)

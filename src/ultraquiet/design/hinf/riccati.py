@@ -12,7 +12,7 @@ from scipy.linalg import LinAlgError, block_diag
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import continuous_riccati, newton_direction
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.ordered import Array, Matrices
 
 EQUATIONS = {"X": "state-feedback", "Y": "filter"}
@@ -82,8 +82,7 @@ def normalise(M: Matrices, ny: int, nu: int) -> NormalisedPlant:
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
     A, B, C = A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed)
-    d = even_scale(A, B, C)
-    form = balance.modal(A * d / d[:, None], B / d[:, None], C * d)
+    form = balance.modal(*even_states(A, B, C)[:3])
     return NormalisedPlant(
         A=form.A,
         B1=form.B[:, :m],

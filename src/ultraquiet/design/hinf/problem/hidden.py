@@ -4,7 +4,7 @@ import numpy as np
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.values.state_space import StateSpace
 
 # Share of the largest Hankel value below which a state says nothing: an equation that holds it solves round-off.
@@ -41,6 +41,5 @@ def without_hidden(P: StateSpace) -> tuple[StateSpace, int]:
     n = P.states - stable
     into = np.vstack([np.hstack([left, np.zeros((kept, n))]), np.hstack([np.zeros((n, stable)), np.eye(n)])])
     out = np.vstack([np.hstack([right, np.zeros((stable, n))]), np.hstack([np.zeros((n, kept)), np.eye(n)])])
-    A, B, C = into @ A @ out, into @ B, C @ out
-    d = even_scale(A, B, C)
-    return StateSpace(A * d / d[:, None], B / d[:, None], C * d, P.D, P.rate_hz), stable - kept
+    A, B, C, _ = even_states(into @ A @ out, into @ B, C @ out)
+    return StateSpace(A, B, C, P.D, P.rate_hz), stable - kept

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
@@ -51,8 +51,7 @@ def even_problem(P: StateSpace, ny: int, nu: int) -> EvenProblem:
     x, u, y, level = np.ones(P.states), np.ones(nu), np.ones(ny), 1.0
     A, B, C, D = P.A, P.B, P.C, P.D
     for _ in range(ROUNDS):
-        d = even_scale(A, B, C)
-        A, B, C = A * d / d[:, None], B / d[:, None], C * d
+        A, B, C, d = even_states(A, B, C)
         across = _inverse(np.hypot(np.linalg.norm(B[:, m:], axis=0), np.linalg.norm(D[:p, m:], axis=0)))
         down = _inverse(np.hypot(np.linalg.norm(C[p:], axis=1), np.linalg.norm(D[p:, :m], axis=1)))
         loud = _ratio(B[:, m:] * across, B[:, :m]) * _ratio(C[p:] * down[:, None], C[:p])

@@ -13,7 +13,7 @@ from ultraquiet.design.hinf import discrete_riccati, riccati
 from ultraquiet.design.hinf.problem.units import EvenProblem
 from ultraquiet.design.result import is_stable
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
-from ultraquiet.linalg.even import even_scale, untangled
+from ultraquiet.linalg.even import even_states, untangled
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -124,5 +124,4 @@ class Verifier:
 
 
 def _evened(G: StateSpace) -> StateSpace:
-    d = even_scale(G.A, G.B, G.C)
-    return StateSpace(G.A * d / d[:, None], G.B / d[:, None], G.C * d, G.D, G.rate_hz)
+    return StateSpace(*even_states(G.A, G.B, G.C)[:3], G.D, G.rate_hz)

@@ -9,7 +9,7 @@ from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_states
 from ultraquiet.values import StateSpace
 from ultraquiet.workbench.engine.live import live_loop, responses
 from ultraquiet.workbench.figures.loops import loop_grid, sizes_of
@@ -144,8 +144,7 @@ class _Reduce:
 
 def hankel_values(law: StateSpace) -> np.ndarray:
     """Return the Hankel singular values of the stable part of a law, one a state, the largest first, scaled evenly."""
-    d = even_scale(law.A, law.B, law.C)
-    A, B, C = law.A * d / d[:, None], law.B / d[:, None], law.C * d
+    A, B, C, _ = even_states(law.A, law.B, law.C)
     discrete = law.rate_hz is not None
     T, inverse, stable = balance.stable_first(A, discrete, balance.BOUNDARY)
     inner = (inverse @ A @ T)[:stable, :stable]
