@@ -95,7 +95,7 @@ def between(who: str, name: str, value: float, low: float, high: float, unit: st
     return number
 
 
-def below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> float:
+def tone_below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> float:
     """Return a frequency in Hz above zero and below half the rate, where a sampled sine is none any more."""
     number = positive(who, name, f_hz, "Hz")
     if number >= rate_hz / 2:

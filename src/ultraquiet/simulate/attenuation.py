@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, below_nyquist, between, positive
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, positive, tone_below_nyquist
 from ultraquiet._base.errors import InputError, InterlockError, asking
 from ultraquiet._base.progress import Task, task
 from ultraquiet.bench import Bench
@@ -100,7 +100,7 @@ def attenuation(
         positive("attenuation", "amplitude_v", amplitude_v)
         if np.ndim(tones_hz) != 1 or not len(tones_hz):
             raise InputError(f"attenuation: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
-        tones = tuple(below_nyquist("attenuation", "tones_hz", tone_hz, bench.rate_hz) for tone_hz in tones_hz)
+        tones = tuple(tone_below_nyquist("attenuation", "tones_hz", tone_hz, bench.rate_hz) for tone_hz in tones_hz)
         for f in tones:
             between("attenuation", "tones_hz", f, slowest_tone_hz(duration_s), bench.rate_hz / 2, "Hz")
     rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, below_nyquist, between, positive
+from ultraquiet._base.constraints import FloatArray, between, positive, tone_below_nyquist
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
 from ultraquiet.bench import Bench
@@ -100,7 +100,7 @@ def on_bench(
         for controller in (None, law, code):
             fresh_bench = fresh()
             rate = fresh_bench.rate_hz
-            f = below_nyquist("on_bench", "tones_hz", tone_hz, rate)
+            f = tone_below_nyquist("on_bench", "tones_hz", tone_hz, rate)
             between("on_bench", "tones_hz", f, 1.0 / (MEASURED_SHARE * duration_s), rate / 2, "Hz")
             phase = 2 * np.pi * f * np.arange(int(duration_s * rate)) / rate
             d = np.tile(amplitude_v * np.sin(phase), (len(fresh_bench.actuators), 1))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, below_nyquist, numbers, positive, rising_band, whole
+from ultraquiet._base.constraints import FloatArray, numbers, positive, rising_band, tone_below_nyquist, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.payload.wires import place_of
@@ -99,7 +99,7 @@ class PayloadSetup:
         """
         period, lines = self.periods(rate_hz)[0], list[int]()
         for f in self.tones_hz:
-            line = round(below_nyquist(WHO, "tones_hz", f, rate_hz) * period / rate_hz)
+            line = round(tone_below_nyquist(WHO, "tones_hz", f, rate_hz) * period / rate_hz)
             if not 0 < line < period / 2:
                 where = "are less than a period of" if not line else "do not tell from Nyquist's frequency"
                 raise InputError(f"{WHO}: {self.seconds:g} s {where} the tone of {f:g} Hz; make 'seconds' longer.")
