@@ -1,5 +1,7 @@
 """Few samples, a single line, a loop without states: refused with what would do, or measured as far as they reach."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,17 @@ def test_a_sensitivity_of_one_line_has_a_broadband_figure_and_a_mean(ny, nu, uni
     assert found.broadband_db(10.0, 100.0) == pytest.approx(10 * np.log10((opened / closed).min()))
     sizes = np.linalg.svd(found.S.values[:, :, 0], compute_uv=False)[: min(ny, nu)]
     assert found.mean_log_db() == pytest.approx(20 * np.log10(sizes).mean())
+
+
+def test_a_sensor_that_hears_nothing_has_no_part_in_a_broadband_figure():
+    """Of two places the second moves by nothing; nor does a bench whose only place does not."""
+    law = gain(-0.5 * np.eye(2), 1000.0)
+    moved = StateSpace(0.9 * np.eye(2), 0.1 * np.eye(2), np.diag([1.0, 0.0]), np.zeros((2, 2)), rate_hz=1000.0)
+    found = measure_sensitivity(uq.bench.LinearBench(moved), law, f_hz=[20.0, 50.0])
+    opened, closed = (np.sum(np.abs(y[0]) ** 2) for y in (found.opened, found.closed))
+    assert found.broadband_db(10.0, 100.0) == pytest.approx(10 * np.log10(opened / closed))
+    still = dataclasses.replace(found, opened=0 * found.opened, closed=0 * found.closed)
+    assert still.broadband_db(10.0, 100.0) == 0.0
 
 
 @pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])

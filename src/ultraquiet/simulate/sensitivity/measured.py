@@ -102,11 +102,20 @@ class MeasuredSensitivity:
         return float(np.trapezoid(level, self.f_hz) / (self.f_hz[-1] - self.f_hz[0]))
 
     def broadband_db(self, low_hz: float, high_hz: float) -> float:
-        """Reduction of the RMS of the worst sensor under equal, independent disturbances over a band, in dB."""
+        """Reduction of the RMS of the worst sensor under equal, independent disturbances over a band, in dB.
+
+        Sensors that hear nothing, without the law or with it, are left out; 0 where none hears anything.
+        """
         band = self._band(low_hz, high_hz)
         width = np.gradient(self.f_hz)[band] if self.f_hz.size > 1 else np.ones(1)
-        power = [np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed)]
-        return float(10 * np.log10(np.min(power[0] / power[1])))
+        opened, closed = (
+            np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed)
+        )
+        heard = opened + closed > 0
+        if not heard.any():
+            return 0.0
+        with np.errstate(divide="ignore"):
+            return float(10 * np.log10(np.min(opened[heard] / closed[heard])))
 
     def unresolved(self, low_hz: float = 0.0, high_hz: float = np.inf) -> str:
         """Return a sentence on the lines of a band that noise hides, in numbers, and on where it was not measured."""
