@@ -432,13 +432,11 @@ def write_study_of_a_bench(place, mistake=None):
 
 
 @pytest.mark.parametrize("mistake", BENCHES)
-def test_a_mistake_in_a_study_of_a_bench(run, tmp_path, monkeypatch, mistake):
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
+def test_a_mistake_in_a_study_of_a_bench(run, tmp_path, mistake):
     graded(run, tmp_path, ("run", "study.toml"), write_study_of_a_bench(tmp_path, mistake))
 
 
-def test_an_error_of_a_bench_while_it_runs_is_told_with_its_line(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
+def test_an_error_of_a_bench_while_it_runs_is_told_with_its_line(run, tmp_path):
     write_study_of_a_bench(tmp_path)
     (tmp_path / "study.toml").write_text(OF_A_BENCH.replace('make"\n', 'make"\ngain = "2"\n', 1))
     code, _, err = run("run", "study.toml")
@@ -451,8 +449,7 @@ def test_an_error_of_a_bench_while_it_runs_is_told_with_its_line(run, tmp_path, 
 @pytest.mark.parametrize(
     ("at", "said"), [("making", "raised SystemExit in line"), ("a sample", "bench: 'my.py' raised")]
 )
-def test_a_bench_that_exits_is_refused_and_does_not_end_the_command_by_itself(run, tmp_path, monkeypatch, at, said):
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
+def test_a_bench_that_exits_is_refused_and_does_not_end_the_command_by_itself(run, tmp_path, at, said):
     write_study_of_a_bench(tmp_path)
     text = (tmp_path / "my.py").read_text()
     first = re.search(r"def make.*\n" if at == "making" else r"def step.*\n", text)
@@ -464,8 +461,7 @@ def test_a_bench_that_exits_is_refused_and_does_not_end_the_command_by_itself(ru
     assert said in err
 
 
-def test_what_a_bench_prints_does_not_join_the_json(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
+def test_what_a_bench_prints_does_not_join_the_json(run, tmp_path):
     write_study_of_a_bench(tmp_path)
     text = (tmp_path / "my.py").read_text()
     (tmp_path / "my.py").write_text(f'{text}\nprint("card found")\n')

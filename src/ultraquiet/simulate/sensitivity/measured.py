@@ -108,9 +108,7 @@ class MeasuredSensitivity:
         """
         band = self._band(low_hz, high_hz)
         width = np.gradient(self.f_hz)[band] if self.f_hz.size > 1 else np.ones(1)
-        opened, closed = (
-            np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed)
-        )
+        opened, closed = (np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed))
         heard = opened + closed > 0
         if not heard.any():
             return 0.0
