@@ -132,8 +132,10 @@ def test_a_card_that_takes_nothing_any_more_is_named_to_whoever_stands_beside_it
         bench.run(np.minimum(np.arange(150) * 0.05, 5.0) * np.array([[1.0], [-0.8]]))
 
 
-@pytest.mark.parametrize("number", ENDINGS)
-@pytest.mark.parametrize("how", ["for good", "for a block"])
+ENDED = [(how, number) for number in ENDINGS for how in ("for good", "for a block")]
+
+
+@pytest.mark.parametrize(("how", "number"), [*ENDED, ("for a block", signal.SIGINT)])
 @pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
 def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, unit, how, number, monkeypatch):
     """Loops are closed in threads, which no signal reaches; asked again on the way down, it goes on."""
@@ -153,19 +155,20 @@ def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, u
     rising = np.minimum(np.arange(5000) * 0.05, 2.0) * np.ones((nu, 1))
     # whoever started the tests may ignore some of them, as a shell does for what runs behind
     before = {each: signal.signal(each, signal.SIG_DFL) for each in ENDINGS}
+    usual = dict.fromkeys(ENDINGS, signal.SIG_DFL) | {signal.SIGINT: signal.getsignal(signal.SIGINT)}
     block = DEPARTURE.holding() if how == "for a block" else contextlib.nullcontext()
     try:
         if how == "for good":
             DEPARTURE.takes_signals()
-        with pytest.raises(SystemExit) as ended, block:
+        with pytest.raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as ended, block:
             in_threads("close", lambda _: bench.run(rising), ["bench"], 1)
         if how == "for a block":
-            assert {signal.getsignal(each) for each in ENDINGS} == {signal.SIG_DFL}
+            assert {each: signal.getsignal(each) for each in usual} == usual
             assert bench.run(rising[:, :60]).samples == 60, "a process that goes on is free to run again"
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
-    assert ended.value.code == 128 + number
+    assert number == signal.SIGINT or ended.value.code == 128 + number
     sent = np.array(held)
     assert sent.max() > 1.5
     assert not sent[-1].any()

@@ -1,8 +1,12 @@
-"""Progress of long work, told to whoever listens. Computation never prints; the command line listens with bars."""
+"""Progress of long work, told to whoever listens, and whether anybody waits for it any more.
+
+Computation never prints; the command line listens with bars.
+"""
 
 from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from threading import Event
 from typing import Protocol
 
 
@@ -23,6 +27,8 @@ class Listener(Protocol):
 
 
 _listener: ContextVar[Listener | None] = ContextVar("ultraquiet_progress", default=None)
+# Set where whoever waits for this work was interrupted, of all who do: threads hear of no interrupt by themselves.
+_interrupts: ContextVar[tuple[Event, ...]] = ContextVar("ultraquiet_interrupts", default=())
 # Every task that is shown, the latest last: what happens in threads, which see no listener, is noted there.
 _open: list[tuple[Listener, int]] = []
 
@@ -35,7 +41,8 @@ class Task:
         self._key = key
 
     def advance(self, steps: int = 1, note: str = "") -> None:
-        """Report `steps` done."""
+        """Report `steps` done, to go on only where the work is wanted."""
+        require_wanted()
         if self._listener is not None:
             self._listener.advance(self._key, steps, note)
 
@@ -83,3 +90,28 @@ def listening(listener: Listener) -> Generator[None]:
         yield
     finally:
         _listener.reset(token)
+
+
+def require_wanted() -> None:
+    """End this work as Ctrl-C would, where whoever waits for it in another thread was interrupted.
+
+    Raises:
+        KeyboardInterrupt: it is wanted no more.
+    """
+    if any(interrupt.is_set() for interrupt in _interrupts.get()):
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def wanted_until(*interrupts: Event) -> Generator[None]:
+    """Let the work of a block end where it next asks (`require_wanted`) once one of these is set."""
+    token = _interrupts.set(interrupts)
+    try:
+        yield
+    finally:
+        _interrupts.reset(token)
+
+
+def interrupts() -> tuple[Event, ...]:
+    """Return what ends this work, to be handed on to the threads that it begins."""
+    return _interrupts.get()

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from contextvars import Context, copy_context
 from functools import lru_cache, wraps
 from importlib import import_module
-from threading import Lock
+from threading import Event, Lock
 from typing import Any, ParamSpec, TypeVar
 
 from ultraquiet._base.constraints import whole
-from ultraquiet._base.progress import task
+from ultraquiet._base.progress import interrupts, task, wanted_until
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -25,6 +25,7 @@ def in_threads(
     """Run `work` on every item in threads (the kernels hold no lock), showing progress; the first error is raised.
 
     Each runs with one BLAS thread: threads inside threads wait for one another, and the sums hang on their number.
+    Where this thread is interrupted the others end at their next step of progress, or block of samples on a bench.
 
     Args:
         title: what the progress bar says.
@@ -42,17 +43,27 @@ def in_threads(
     if workers is not None:
         whole(title, "workers", workers, 0)
     results: dict[Item, R] = {}
+    interrupt = Event()
+    ends = (*interrupts(), interrupt)
+
+    def until_interrupted(item: Item) -> R:
+        with wanted_until(*ends):
+            return work(item)
+
     with (
         one_blas_thread(),
         task(title, len(items)) as progress,
         ThreadPoolExecutor(workers or os.cpu_count()) as pool,
     ):
-        futures = {pool.submit(copy_context().run if bars else Context().run, work, item): item for item in items}
+        begin = [(copy_context() if bars else Context()).run for _ in items]
+        futures = {pool.submit(run, until_interrupted, item): item for run, item in zip(begin, items, strict=True)}
         try:
             for future in as_completed(futures):
                 results[futures[future]] = future.result()
                 progress.advance(note=str(futures[future]))
-        except BaseException:
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                interrupt.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return results

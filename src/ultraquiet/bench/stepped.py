@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, few_finite, whole
 from ultraquiet._base.errors import InputError, RunawayError
+from ultraquiet._base.progress import require_wanted
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench._abstract import (
@@ -247,6 +248,7 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
     try:
         plant.start(run_index)
         while loop.k < loop.end:
+            require_wanted()
             if stop is not None and not loop.faded and stop():
                 loop.fade(ramp_samples)
             block, error = loop.take(block_samples)

@@ -45,17 +45,20 @@ class Departure:
     def holding(self) -> Generator[None]:
         """Take signals that would end the process on the spot for the length of a block whose runs are in threads.
 
-        Handlers that somebody else has installed stay in charge; outside the main thread nothing can be done.
+        Ctrl-C interrupts the block once: asked for again, the way down goes on. Handlers that somebody else has
+        installed stay in charge; outside the main thread nothing can be done.
         """
         mine = threading.current_thread() is threading.main_thread()
-        before = [each for each in ENDINGS if mine and signal.getsignal(each) is signal.SIG_DFL]
+        taken: dict[signal.Signals, tuple[Any, Any]] = dict.fromkeys(ENDINGS, (signal.SIG_DFL, self._leave))
+        taken[signal.SIGINT] = (signal.default_int_handler, self._interrupt)
+        before = [each for each, (usual, _) in taken.items() if mine and signal.getsignal(each) is usual]
         try:
             for number in before:
-                signal.signal(number, self._leave)
+                signal.signal(number, taken[number][1])
             yield
         finally:
             for number in before:
-                signal.signal(number, signal.SIG_DFL)
+                signal.signal(number, taken[number][0])
             if before:
                 self._code = None  # whoever goes on after this is free to run again
 
@@ -69,6 +72,12 @@ class Departure:
         if self._code is None:  # a second signal must not cut short what the first began
             self._code = FATAL + number
             raise SystemExit(self._code)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        if self._code is None:
+            self._code = FATAL + number
+            raise KeyboardInterrupt
 
 
 DEPARTURE = Departure()

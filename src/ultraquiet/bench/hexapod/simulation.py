@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import RunawayError
+from ultraquiet._base.progress import require_wanted
 from ultraquiet.bench._abstract import Block, IntArray, fade
 from ultraquiet.bench.columns import turned
 from ultraquiet.bench.hexapod.laws import WHO, FeedbackLaw, Limits, LostError, Plant
@@ -50,6 +51,7 @@ class Simulation:
         """Yield the run in blocks; once `stop` says yes, everything sent fades to zero and the run ends."""
         fading = False
         while self._k < self._end:
+            require_wanted()
             if stop is not None and not fading and stop():
                 fading = True
                 self._end = min(self._end, self._k + ramp_samples)

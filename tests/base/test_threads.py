@@ -1,0 +1,74 @@
+"""Work in threads of which nobody hears any more ends where it next asks."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from ultraquiet._base.progress import task
+from ultraquiet._base.threads import in_threads
+from ultraquiet.bench import Hexapod, Wrapped
+from ultraquiet.values import StateSpace
+
+PATIENCE_S = 30.0  # of a test that would go on for minutes
+RATE_HZ = 1000.0
+
+
+def interrupted(work):
+    """Do `work(begun)`, in a thread of a thread, and press Ctrl-C once it has begun; return when it began and ended."""
+    times = []
+
+    def begun():
+        if not times:
+            times.append(time.monotonic())
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def noted(_):
+        try:
+            work(begun)
+        finally:
+            times.append(time.monotonic())
+
+    with pytest.raises(KeyboardInterrupt):
+        in_threads("outer", lambda _: in_threads("inner", noted, ["b"], 1), ["a"], 1)
+    print(f"ended {times[1] - times[0]:.2f} s after Ctrl-C")
+    return times[1] - times[0]
+
+
+def steps(begun):
+    with task("steps", 10**6) as progress:
+        for _ in range(int(PATIENCE_S / 1e-3)):
+            begun()
+            time.sleep(1e-3)
+            progress.advance()
+
+
+def samples_in_python(begun):
+    def step(u, d):
+        begun()
+        time.sleep(1e-3)
+        return np.zeros(3)
+
+    bench = Wrapped(step, lambda: None, RATE_HZ, ["a", "b"], ["p", "q", "r"])
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), -0.1 * np.ones((2, 3)), RATE_HZ)
+    bench.run(np.zeros((2, int(PATIENCE_S * RATE_HZ))), controller=law)
+
+
+def samples_of_machine_code(begun):
+    bench = Hexapod(unit="ground", seed=1)
+    for block in bench.stream(np.zeros((6, 3500 * 3600)), block_samples=3500):
+        begun()
+        assert block.readings.shape[1] == 3500
+
+
+@pytest.mark.parametrize("work", [steps, samples_in_python, samples_of_machine_code])
+def test_ctrl_c_ends_what_goes_on_in_threads(work):
+    assert interrupted(work) < PATIENCE_S / 3
+
+
+def test_who_interrupts_itself_ends_nothing_else():
+    """Each block of threads ends what it waits for, and nothing after that."""
+    interrupted(steps)
+    assert in_threads("again", lambda item: item + 1, [1, 2], 2) == {1: 2, 2: 3}
