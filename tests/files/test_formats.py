@@ -49,7 +49,7 @@ def same(back, record, resolution):
         assert [(c.name, c.unit) for c in got] == [(c.name, c.unit) for c in sent]
 
 
-@pytest.mark.gate("csv", "mat")
+@pytest.mark.gate("csv")
 @pytest.mark.parametrize("kind", RESOLUTION)
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(record=records())

@@ -47,6 +47,11 @@ def test_what_an_offset_heaps_up_is_no_growth():
     print(check.status)
     assert check.status.word == "not known"
     assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
+
+
+@pytest.mark.slow
+def test_a_law_that_follows_an_offset_within_its_limits_is_ok():
+    lagging = StateSpace([[0.9995]], [[1.0]], [[-0.0003]], [[0.0]], RATE_HZ)
     within = uq.simulate.check_stability(gap_bench(6.0, 1e-3), lagging, 30.0)
     assert within.status.word == "ok"
 

@@ -75,11 +75,12 @@ def test_bands_of_results_are_of_the_right_size(name):
     assert phases > 82
 
 
-def test_a_band_has_the_units_of_its_record():
+@pytest.mark.gate("simulation")
+@pytest.mark.parametrize("name", ["simulation", "unweighted", "prediction"])
+def test_a_band_has_the_units_of_its_record(name):
     near, far = (drawn(np.random.default_rng(1), 3, 2, *units)[1] for units in ((1.0, 1.0), (1e6, 1e-9)))
-    for name in ("simulation", "unweighted", "prediction"):
-        one, other = (uq.validate.response_band(REFINED[name](3).identify(r), F_HZ) for r in (near, far))
-        assert other.percent == pytest.approx(one.percent, rel=1e-3)
+    one, other = (uq.validate.response_band(REFINED[name](3).identify(r), F_HZ) for r in (near, far))
+    assert other.percent == pytest.approx(one.percent, rel=1e-3)
 
 
 def test_a_result_without_a_band_says_why():
