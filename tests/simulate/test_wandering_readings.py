@@ -40,10 +40,10 @@ def slow_loop(rng, growth_per_s, wander):
 
 
 def test_readings_that_wander_are_no_growth(rng):
-    for _ in range(2):  # forty of them, and what grows beside, are in the long run
-        check = uq.simulate.check_stability(*slow_loop(rng, None, 0.01), 4.0)
-        print(check.status)
-        assert check.status.word != "unstable"
+    """One of them; forty, and what grows beside, are in the long run."""
+    check = uq.simulate.check_stability(*slow_loop(rng, None, 0.01), 4.0)
+    print(check.status)
+    assert check.status.word != "unstable"
 
 
 @pytest.mark.parametrize("growth_per_s", [1.0, -1.0])
