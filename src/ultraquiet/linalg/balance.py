@@ -13,7 +13,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.linalg.equations import lyapunov_both, stein, stein_factor
 from ultraquiet.linalg.even import even_states
-from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
+from ultraquiet.linalg.ordered import Array, Matrices, leading_subspace, ordered_schur, real_schur, real_schur_values
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
 MODAL_CONDITION = 1e7
@@ -241,8 +241,8 @@ def _separated(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
     try:
         form, along = (A, A), values
         if any(_tangled(values, g) for g in groups):
-            form = real_schur(A)
-            along = diagonal_eigenvalues(form[0])
+            T, Q, along = real_schur_values(A)
+            form = T, Q
         bases = [
             _invariant(form, along, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g])
             for g in groups

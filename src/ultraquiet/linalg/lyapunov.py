@@ -3,7 +3,7 @@
 import warnings
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_continuous_lyapunov, solve_triangular
+from scipy.linalg import LinAlgError, bandwidth, solve_continuous_lyapunov, solve_triangular
 from scipy.linalg.lapack import dgebal, dtrsyl  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.errors import NumericalError
@@ -228,10 +228,10 @@ def _by_halves(T: Array, F: Array, G: Array) -> tuple[Array, Array]:
 
 def _is_schur(A: Array) -> bool:
     """Return whether a matrix is block triangular already, with blocks of one or two rows."""
-    if np.any(A[2:, 0]):  # as of nearly every other matrix
+    if bandwidth(A)[0] > 1:
         return False
     low = np.diag(A, -1) != 0
-    return not (np.any(low[1:] & low[:-1]) or np.any(np.tril(A, -2)))
+    return not np.any(low[1:] & low[:-1])
 
 
 def _forward(T: Array, X: Array) -> None:

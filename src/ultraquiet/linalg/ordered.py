@@ -14,9 +14,19 @@ Matrices = tuple[Array, Array, Array, Array]  # A, B, C, D
 
 
 def real_schur(A: Array) -> tuple[Array, Array]:
-    """Return T and orthogonal Q with A = Q T Q', T quasi-triangular."""
-    T, Q = schur(A, output="real")[:2]
-    return np.asarray(T), np.asarray(Q)
+    """Return T and orthogonal Q with A = Q T Q', T quasi-triangular.
+
+    Raises:
+        LinAlgError: it was not found.
+        ValueError: NaN or infinite entries.
+    """
+    return real_schur_values(A)[:2]
+
+
+def real_schur_values(A: Array) -> tuple[Array, Array, Array]:
+    """Return what `real_schur` does, and the eigenvalues in the order of T's diagonal."""
+    T, Q, real, imaginary = _real_schur(A)
+    return T, Q, real + 1j * imaginary
 
 
 def complex_schur(A: Array) -> tuple[Array, Array]:
@@ -35,11 +45,7 @@ def ordered_schur(A: Array, wanted: Literal["lhp"] | Callable[[float, float], bo
         LinAlgError: an eigenvalue crossed the border while they were put in order.
         ValueError: NaN or infinite entries.
     """
-    if not np.all(np.isfinite(A)):
-        raise ValueError("array must not contain infs or NaNs")
-    T, _, real, imaginary, Q, _, info = dgees(_unsorted, A, lwork=_schur_workspace(len(A)))
-    if info:
-        raise LinAlgError("the Schur form was not found")
+    T, Q, real, imaginary = _real_schur(A)
     chosen = _wanted(real, imaginary, wanted)
     count = int(np.count_nonzero(chosen))
     if count and not np.all(chosen[:count]):
@@ -47,6 +53,16 @@ def ordered_schur(A: Array, wanted: Literal["lhp"] | Callable[[float, float], bo
         if info or not np.array_equal(_wanted(real, imaginary, wanted), np.arange(len(A)) < count):
             raise LinAlgError("an eigenvalue crossed the border while they were put in order")
     return T, Q, int(count)
+
+
+def _real_schur(A: Array) -> tuple[Array, Array, Array, Array]:
+    """Return T, Q and the eigenvalues' real and imaginary parts."""
+    if not np.all(np.isfinite(A)):
+        raise ValueError("array must not contain infs or NaNs")
+    T, _, real, imaginary, Q, _, info = dgees(_unsorted, A, lwork=_schur_workspace(len(A)))
+    if info:
+        raise LinAlgError("the Schur form was not found")
+    return T, Q, real, imaginary
 
 
 def _unsorted(real: float, imaginary: float) -> None:
@@ -62,14 +78,6 @@ def _wanted(real: Array, imaginary: Array, wanted: Literal["lhp"] | Callable[[fl
     if callable(wanted):
         return np.array([bool(wanted(x, y)) for x, y in zip(real, imaginary, strict=True)], dtype=bool)
     return real < 0
-
-
-def diagonal_eigenvalues(T: Array) -> Array:
-    """Return the eigenvalues of a real Schur form in the order of its diagonal."""
-    values = np.diag(T).astype(np.complex128)
-    for k in np.flatnonzero(np.diag(T, -1)):
-        values[k : k + 2] = np.linalg.eigvals(T[k : k + 2, k : k + 2])
-    return values
 
 
 def leading_subspace(T: Array, Q: Array, chosen: Array) -> Array:

@@ -13,7 +13,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.even import even_states
-from ultraquiet.linalg.ordered import Matrices, diagonal_eigenvalues, real_schur
+from ultraquiet.linalg.ordered import Matrices, real_schur_values
 from ultraquiet.reduce.promises import Delivered
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -88,9 +88,9 @@ def split(system: StateSpace, slowest_hz: float = 0.0) -> StableSplit:
     A, B, C, d = even_states(system.A, system.B, system.C)
     # the border of decay becomes the border of stability
     shifted = A * np.exp(decay / rate_hz) if rate_hz else A + decay * np.eye(n)
-    form, U = real_schur(shifted) if n else (shifted, shifted)
+    form, U, poles = real_schur_values(shifted) if n else (shifted, shifted, np.zeros(0, complex))
     stable = balance.inside(shifted, rate_hz is not None, balance.BOUNDARY)
-    if all(stable(z.real, z.imag) for z in diagonal_eigenvalues(form)):
+    if all(stable(z.real, z.imag) for z in poles.tolist()):
         # nothing to split off, and the form spares the Gramians another one
         form = form / np.exp(decay / rate_hz) if rate_hz else form - decay * np.eye(n)
         nothing = (np.zeros((0, 0)), np.zeros((0, B.shape[1])), np.zeros((C.shape[0], 0)))
