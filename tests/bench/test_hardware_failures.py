@@ -3,11 +3,15 @@
 import contextlib
 import os
 import signal
+import sys
+import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
+from ultraquiet._base.errors import BenchError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.bench import Hardware, Interlocks
 from ultraquiet.bench.hardware.termination import DEPARTURE, ENDINGS
@@ -192,3 +196,92 @@ def test_the_longest_way_down_is_known_while_a_run_is_up():
         bench.run(np.zeros((1, 3)))
     assert set(known) == {4.001, 0.3}
     assert DEPARTURE.way_down_s() == 0.0
+
+
+def interrupting(*names, times):
+    """Return a function for `sys.settrace` that presses Ctrl-C at each of the first lines of functions of a bench."""
+    left = [times]
+
+    def pressed(frame, event, _):
+        if event == "line" and left[0]:
+            left[0] -= 1
+            os.kill(os.getpid(), signal.SIGINT)
+        return pressed
+
+    return lambda frame, *_: pressed if frame.f_code.co_name in names else None
+
+
+def gone_through(stream: Any, closed: bool):
+    for _ in stream:
+        if closed:
+            stream.close()
+
+
+@pytest.mark.parametrize(("function", "times"), [("rest", 1), ("_descend", 10**6)])
+@pytest.mark.parametrize(("nu", "ny", "unit", "scale"), [(1, 1, "V", 1.0), (4, 3, "N", 1e9), (3, 5, "m", 1e-9)])
+@pytest.mark.parametrize("left", ["at its end", "closed", "by an error"])
+def test_ctrl_c_at_any_line_of_the_way_down_leaves_no_actuator_up(nu, ny, unit, scale, left, function, times):
+    held = []
+    bench = Hardware(
+        held.append,
+        lambda: np.zeros(ny if left != "by an error" or len(held) != 30 else 0),
+        RATE_HZ,
+        [Channel(f"u{i}", unit, -scale, 10 * scale) for i in range(nu)],
+        [f"y{i}" for i in range(ny)],
+        Interlocks(slew_per_s=50.0 * scale, ramp_s=0.01),
+        wait=lambda: None,
+    )
+    stream = bench.stream(np.minimum(np.arange(60) * 0.05, 2.0) * scale * np.ones((nu, 1)), block_samples=50)
+    ended = BenchError if left == "by an error" else KeyboardInterrupt
+    before = sys.gettrace(), signal.getsignal(signal.SIGINT)
+    sys.settrace(interrupting(function, times=times))
+    try:
+        with pytest.raises((ended, KeyboardInterrupt)):
+            gone_through(stream, left == "closed")
+    finally:
+        sys.settrace(before[0])
+    sent = np.array(held)
+    print(f"{len(sent)} samples sent, {np.abs(sent).max():.3g} at most, {np.abs(sent[-1]).max():.3g} last")
+    assert np.abs(sent).max() > scale
+    assert not sent[-1].any()
+    assert np.abs(np.diff(sent, axis=0)).max() <= 0.05 * scale * (1 + 1e-9)
+    assert signal.getsignal(signal.SIGINT) is before[1]
+    assert bench.run(np.zeros((nu, 5))).samples == 5, "the next run is free to begin"
+
+
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (4, 3), (3, 5)])
+def test_a_clock_that_comes_back_no_more_is_given_up_by_the_second_ctrl_c(nu, ny):
+    """The first ends the run; on the way down, too, the card is waited for until somebody asks once more."""
+    held, dead = [np.zeros(nu)], threading.Event()
+
+    def wait():
+        if len(held) > 40:
+            dead.set()
+            time.sleep(60.0)
+
+    def press():
+        dead.wait()
+        for _ in range(2):
+            time.sleep(0.2)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    bench = Hardware(
+        held.append,
+        lambda: np.zeros(ny),
+        RATE_HZ,
+        [Channel(f"u{i}", "V", -1.0, 10.0) for i in range(nu)],
+        [f"y{i}" for i in range(ny)],
+        Interlocks(slew_per_s=100.0, ramp_s=0.01, frame_s=0.02),
+        wait,
+    )
+    hand = threading.Thread(target=press)
+    hand.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            bench.run(np.minimum(np.arange(100) * 0.1, 2.0) * np.ones((nu, 1)))
+    finally:
+        hand.join()
+    sent = np.array(held)
+    assert sent.max() > 1.9
+    assert not sent[-1].any()
+    assert np.abs(np.diff(sent, axis=0)).max() <= 0.1 * (1 + 1e-9)

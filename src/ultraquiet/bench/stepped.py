@@ -77,7 +77,8 @@ class SteppedPlant:
     def rest(self, error: BaseException | None) -> None:
         """Come to rest at once: the run is over. `error` is what ended it, None when it came to its end or was closed.
 
-        Called exactly once for every `start`, before anything else happens.
+        Called for every `start`, before anything else happens; once more where an interrupt or an error ended that,
+        and what is at rest stays there.
         """
 
 
@@ -253,8 +254,8 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
                 loop.fade(ramp_samples)
             block, error = loop.take(block_samples)
             if error is not None:
-                resting = True
                 plant.rest(error)
+                resting = True
             if block is not None:
                 yield block
             if error is not None:
@@ -263,12 +264,16 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
         raise
     except BaseException as error:
         if not resting:
-            resting = True
             plant.rest(error)
+            resting = True
         raise
     finally:
         if not resting:
-            plant.rest(None)
+            try:
+                plant.rest(None)
+            except BaseException:
+                plant.rest(None)  # Ctrl-C may come before the first has begun
+                raise
 
 
 def require_standing(who: str, y: FloatArray, k: int) -> None:

@@ -15,7 +15,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.one_line import described, one_line
 from ultraquiet.bench.hardware.interlocks import Guard, Interlocks
 from ultraquiet.bench.hardware.pacing import Pacer
-from ultraquiet.bench.hardware.termination import Termination
+from ultraquiet.bench.hardware.termination import Stalled, Termination
 from ultraquiet.bench.stepped import Loop, Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
@@ -170,6 +170,7 @@ class _Rig(SteppedPlant):
     def rest(self, error: BaseException | None) -> None:
         if not self._mine:
             return
+        self._termination.descends()
         try:
             interrupt, failure = self._descend()
         finally:
@@ -184,8 +185,9 @@ class _Rig(SteppedPlant):
                 f"({described(failure)}); they may still hold {np.round(self._last, 6).tolist()}, switch them off by "
                 "hand."
             ) from error
-        if interrupt is not None and error is None:
-            raise interrupt
+        ending = interrupt or self._termination.ending
+        if ending is not None and error is None:
+            raise ending
 
     def _descend(self) -> tuple[BaseException | None, Exception | None]:
         """Lead the actuators to zero, whatever happens meanwhile; return an interrupt and a failure that stayed."""
@@ -208,7 +210,7 @@ class _Rig(SteppedPlant):
             except Exception as error:
                 failures.append(error)
                 done = False
-            except BaseException as error:  # Ctrl-C a second time must not keep the actuators where they are
+            except BaseException as error:  # of somebody's own handler of signals: it keeps no actuator where it is
                 interrupt, done = error, False
         return interrupt, None if done else failures[-1]
 
@@ -222,8 +224,9 @@ class _Rig(SteppedPlant):
 
     def _idle(self) -> None:
         try:
-            self._waited()
-        except Exception:
+            with self._termination.waiting(self.guard.frame_s):
+                self._waited()
+        except (Exception, Stalled):
             self._pace_down()
             self._wait()
 

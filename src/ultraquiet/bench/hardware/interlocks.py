@@ -83,7 +83,7 @@ class Guard:
         self.step = _levels("slew_per_s", interlocks.slew_per_s, actuators) / rate_hz
         self._reading = _levels("reading", interlocks.reading, sensors)
         self._rms = _levels("rms", interlocks.rms, sensors)
-        self._frame_s = _longest_frame(interlocks.frame_s, rate_hz)
+        self.frame_s = _longest_frame(interlocks.frame_s, rate_hz)
         self._forget = -np.expm1(-1.0 / (interlocks.rms_window_s * rate_hz))
         self.reset()
         for c, least, most in zip(actuators, self.low, self.high, strict=True):
@@ -154,11 +154,11 @@ class Guard:
         if self._late > self.interlocks.late_frames:
             description = f"{self._late} frames in a row came too late, {self.interlocks.late_frames} are allowed"
             raise self._tripped("late frames", k, self._late, description)
-        if elapsed_s > self._frame_s:
-            description = f"the frame before took {elapsed_s:.3g} s, {self._frame_s:g} s are allowed"
+        if elapsed_s > self.frame_s:
+            description = f"the frame before took {elapsed_s:.3g} s, {self.frame_s:g} s are allowed"
             raise self._tripped("frame", k, elapsed_s, description)
         # The run itself is as long as was foreseen; only a clock that is slow makes it longer.
-        if self.interlocks.duration_s is not None and since_s > self.interlocks.duration_s + self._frame_s:
+        if self.interlocks.duration_s is not None and since_s > self.interlocks.duration_s + self.frame_s:
             raise self._tripped("duration", k, since_s, f"the run has taken {since_s:.3g} s already")
 
     def _outgoing(self, value: FloatArray, before: FloatArray) -> tuple[str, str, float]:

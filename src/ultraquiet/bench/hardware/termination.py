@@ -1,7 +1,9 @@
 """Being ended from outside, by `kill` or a closed terminal: an exception, as Ctrl-C is, while something is up."""
 
+import math
 import signal
 import threading
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from types import FrameType
@@ -62,6 +64,10 @@ class Departure:
             if before:
                 self._code = None  # whoever goes on after this is free to run again
 
+    def handles(self, handler: object) -> bool:
+        """Tell whether a handler of signals is one of these."""
+        return handler in (self._leave, self._interrupt)
+
     def check(self) -> None:
         """End the run that asks, where the process is ending."""
         if self._code is not None:
@@ -83,27 +89,55 @@ class Departure:
 DEPARTURE = Departure()
 
 
+# An interrupt, which no `except Exception` of a card's driver takes for an answer.
+class Stalled(KeyboardInterrupt):
+    """Whoever keeps the time has not come back for long, and somebody has asked again for the end."""
+
+
 class Termination:
     """Turns signals that would end Python on the spot into SystemExit, between `hold` and `release`.
 
-    Handlers that somebody else has installed stay in charge, and what is ignored stays ignored (SIGHUP under `nohup`);
-    outside the main thread nothing can be done but to `check` whether `DEPARTURE` has taken one.
+    From `descends` on they are put off, Ctrl-C too, so that nothing cuts the way down short: `ending` is the exception
+    that the first of them would have been. Handlers that somebody else has installed stay in charge, and what is
+    ignored stays ignored (SIGHUP under `nohup`); outside the main thread nothing can be done but to `check` whether
+    `DEPARTURE` has taken one.
     """
 
     def __init__(self) -> None:
         self._before: dict[signal.Signals, Any] = {}
+        self._down, self._late_s = False, math.inf
+        self.ending: BaseException | None = None
 
     def hold(self, way_down_s: float) -> None:
         """From here on an end from outside is an exception; `way_down_s` is how long the actuators need to zero."""
         DEPARTURE.begins(self, way_down_s)
         if threading.current_thread() is threading.main_thread():
-            for number in ENDINGS:
-                if signal.getsignal(number) is signal.SIG_DFL:
-                    self._before[number] = signal.signal(number, _leave)
+            for number in (signal.SIGINT, *ENDINGS):
+                handler = signal.getsignal(number)
+                if handler in (signal.SIG_DFL, signal.default_int_handler) or DEPARTURE.handles(handler):
+                    self._before[number] = handler  # before it is replaced: it may be asked for at once
+                    signal.signal(number, self._take)
 
     def check(self) -> None:
         """Raise SystemExit where this process is being ended, in whichever thread."""
         DEPARTURE.check()
+
+    def descends(self) -> None:
+        """From here on the actuators are led to zero, and an end from outside waits for that."""
+        self._down = True
+
+    @contextmanager
+    def waiting(self, longest_s: float) -> Generator[None]:
+        """Let a signal end a wait on the way down that takes longer than so many seconds.
+
+        Raises:
+            Stalled: one came after that time.
+        """
+        self._late_s = time.perf_counter() + longest_s
+        try:
+            yield
+        finally:
+            self._late_s = math.inf
 
     def release(self) -> None:
         """From here on it is sudden again."""
@@ -112,7 +146,20 @@ class Termination:
             while self._before:
                 signal.signal(*self._before.popitem())
 
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if not self._down:
+            self._act(number, frame)
+            return
+        try:
+            self._act(number, frame)  # `DEPARTURE` tells the runs in other threads
+        except (KeyboardInterrupt, SystemExit) as ending:
+            self.ending = self.ending or ending
+        if time.perf_counter() > self._late_s:
+            raise Stalled
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    del frame
-    raise SystemExit(FATAL + number)
+    def _act(self, number: int, frame: FrameType | None) -> None:
+        handler = self._before.get(signal.Signals(number), signal.SIG_DFL)
+        if callable(handler):
+            handler(number, frame)
+        else:
+            raise SystemExit(FATAL + number)
