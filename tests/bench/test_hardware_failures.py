@@ -13,9 +13,9 @@ import pytest
 
 from ultraquiet._base.errors import BenchError
 from ultraquiet._base.threads import in_threads
-from ultraquiet.bench import Hardware, Interlocks
+from ultraquiet.bench import Blended, Block, Decimated, Hardware, Interlocks
 from ultraquiet.bench.hardware.termination import DEPARTURE, ENDINGS
-from ultraquiet.values import Channel
+from ultraquiet.values import Blending, Channel, Decimation
 
 RATE_HZ, SLEW_V_PER_S, AT = 1000.0, 2000.0, 60
 RAISED = (RuntimeError, MemoryError, RecursionError, KeyboardInterrupt, SystemExit, GeneratorExit)
@@ -285,3 +285,47 @@ def test_a_clock_that_comes_back_no_more_is_given_up_by_the_second_ctrl_c(nu, ny
     assert sent.max() > 1.9
     assert not sent[-1].any()
     assert np.abs(np.diff(sent, axis=0)).max() <= 0.1 * (1 + 1e-9)
+
+
+def in_modes(bench, nu, ny):
+    m = min(nu, ny)
+    modes = [f"m{i}" for i in range(m)]
+    return Blended(bench, Blending(np.eye(ny)[:m], np.eye(nu)[:, :m], bench.sensors, bench.actuators, modes))
+
+
+@pytest.mark.parametrize("around", [in_modes, lambda bench, *_: Decimated(bench, Decimation(4, averages=0))])
+@pytest.mark.parametrize(("nu", "ny", "unit", "scale"), [(1, 1, "V", 1.0), (4, 3, "N", 1e9), (3, 5, "m", 1e-9)])
+def test_a_bench_seen_through_another_is_at_rest_before_an_interrupt_of_that_is_told(
+    around, nu, ny, unit, scale, monkeypatch
+):
+    """Whoever looks at the error holds its traceback, and with it what was under way."""
+    held, blocks = [], []
+    bench = Hardware(
+        held.append,
+        lambda: np.zeros(ny),
+        RATE_HZ,
+        [Channel(f"u{i}", unit, -scale, 10 * scale) for i in range(nu)],
+        [f"y{i}" for i in range(ny)],
+        Interlocks(slew_per_s=50.0 * scale, ramp_s=0.01),
+        wait=lambda: None,
+    )
+
+    def block(*args, **how):
+        blocks.append(None)
+        if len(blocks) == 3:
+            raise KeyboardInterrupt
+        return Block(*args, **how)
+
+    seen = around(bench, nu, ny)
+    monkeypatch.setattr(f"{type(seen).__module__}.Block", block)
+    monkeypatch.setattr(f"{type(seen).__module__}.replace", lambda before, **how: block(**how), raising=False)
+    n = 2000
+    with pytest.raises(KeyboardInterrupt) as interrupt:
+        seen.run(np.minimum(np.arange(n) * 0.01, 2.0) * scale * np.ones((len(seen.actuators), 1)))
+    sent = np.array(held)
+    print(f"{len(sent)} samples sent, {np.abs(sent).max():.3g} at most, {np.abs(sent[-1]).max():.3g} last")
+    assert interrupt.tb is not None
+    assert len(sent) < n
+    assert np.abs(sent).max() > 0.1 * scale
+    assert not sent[-1].any()
+    assert np.abs(np.diff(sent, axis=0)).max() <= 0.05 * scale * (1 + 1e-9)

@@ -18,7 +18,7 @@ from ultraquiet.bench._abstract import (
     limits,
     ramp_of,
 )
-from ultraquiet.bench.inner import Around, blocks_of, named_provenance
+from ultraquiet.bench.inner import Around, blocks_of, ended, named_provenance
 from ultraquiet.values import Blending, Channel, Controller, StateSpace
 from ultraquiet.values.blended.matrices import blend
 
@@ -116,19 +116,20 @@ class Blended(Around):
         self, blocks: Iterator[Block], sent: FloatArray, limited: "np.ndarray[Any, np.dtype[np.bool_]]"
     ) -> Iterator[Block]:
         start = 0
-        for block in blocks:
-            stop = start + block.command.shape[1]
-            # A mode met its limit where one of the channels that it is made of did.
-            commands = _shared(self.blending.actuator_matrix.T, block.limited_commands)
-            own = np.count_nonzero(limited[:, start:stop], axis=1)
-            yield replace(
-                block,
-                command=self._commands(sent[:, start:stop], block.command),
-                readings=blend(self.blending.sensor_matrix, block.readings),
-                limited_commands=np.minimum(commands + own, stop - start),
-                limited_readings=_shared(self.blending.sensor_matrix, block.limited_readings),
-            )
-            start = stop
+        with ended(blocks):
+            for block in blocks:
+                stop = start + block.command.shape[1]
+                # A mode met its limit where one of the channels that it is made of did.
+                commands = _shared(self.blending.actuator_matrix.T, block.limited_commands)
+                own = np.count_nonzero(limited[:, start:stop], axis=1)
+                yield replace(
+                    block,
+                    command=self._commands(sent[:, start:stop], block.command),
+                    readings=blend(self.blending.sensor_matrix, block.readings),
+                    limited_commands=np.minimum(commands + own, stop - start),
+                    limited_readings=_shared(self.blending.sensor_matrix, block.limited_readings),
+                )
+                start = stop
 
 
 class _InModes:

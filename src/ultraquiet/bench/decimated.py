@@ -19,7 +19,7 @@ from ultraquiet.bench._abstract import (
     commands,
     ramp_of,
 )
-from ultraquiet.bench.inner import Around, blocks_of, named_provenance
+from ultraquiet.bench.inner import Around, blocks_of, ended, named_provenance
 from ultraquiet.values import Channel, Controller, Decimation, StateSpace
 
 
@@ -103,17 +103,20 @@ class Decimated(Around):
         N, wait, memory = self.decimation.factor, self.decimation.wait, self.decimation.taps.size - 1
         past = np.zeros((len(self.sensors), memory))
         rest_u, rest_y = np.zeros((len(self.actuators), 0)), np.zeros((len(self.sensors), 0))
-        for block in blocks:
-            u, y = np.hstack([rest_u, block.command]), np.hstack([rest_y, block.readings])
-            whole_frames = u.shape[1] // N * N
-            rest_u, rest_y = u[:, whole_frames:], y[:, whole_frames:]
-            if not whole_frames:
-                continue
-            seen = np.hstack([past, y[:, :whole_frames]])
-            readings = self.decimation.filtered([seen[:, memory - j :][:, :whole_frames:N] for j in range(memory + 1)])
-            past = seen[:, seen.shape[1] - memory :]
-            limited_u, limited_y = (-(-c // N) for c in (block.limited_commands, block.limited_readings))
-            yield Block(u[:, wait:whole_frames:N], readings, limited_u, limited_y, block.overruns, block.further)
+        with ended(blocks):
+            for block in blocks:
+                u, y = np.hstack([rest_u, block.command]), np.hstack([rest_y, block.readings])
+                whole_frames = u.shape[1] // N * N
+                rest_u, rest_y = u[:, whole_frames:], y[:, whole_frames:]
+                if not whole_frames:
+                    continue
+                seen = np.hstack([past, y[:, :whole_frames]])
+                readings = self.decimation.filtered(
+                    [seen[:, memory - j :][:, :whole_frames:N] for j in range(memory + 1)]
+                )
+                past = seen[:, seen.shape[1] - memory :]
+                limited_u, limited_y = (-(-c // N) for c in (block.limited_commands, block.limited_readings))
+                yield Block(u[:, wait:whole_frames:N], readings, limited_u, limited_y, block.overruns, block.further)
 
 
 class HeldController:

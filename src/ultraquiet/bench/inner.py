@@ -1,7 +1,8 @@
 """What benches around a bench share: its blocks, whatever it can do, and the record they make."""
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -73,6 +74,15 @@ def blocks_of(
     whole("run", "ramp_samples", ramp_samples, 1)
     numbered = {"run_index": run_index} if "run_index" in inspect.signature(bench.run).parameters else {}
     return _pieces(bench.run(actuation, disturbance, controller, **numbered), size, stop)
+
+
+@contextmanager
+def ended(blocks: Iterator[Block]) -> Generator[None]:
+    """End a run with a block of code, whatever ends that: an error's traceback may hold an iterator for ever."""
+    try:
+        yield
+    finally:
+        getattr(blocks, "close", lambda: None)()
 
 
 def _pieces(record: Record, size: int, stop: Callable[[], bool] | None) -> Iterator[Block]:
