@@ -1,12 +1,13 @@
 """A law comes on in steps: margins measured without a model are those of algebra, and no unstable gain ever runs."""
 
 import json
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet._base.errors import BenchError, InputError, InterlockError
 from ultraquiet.analyse import disk_margin, peak_sensitivity
 from ultraquiet.bench import LinearBench, Wrapped
 from ultraquiet.pipeline.facts.mission import CommissioningFacts
@@ -243,6 +244,46 @@ def test_a_study_puts_its_law_on_and_tells_every_step():
     refused = commissioned("calm", law(1, 1), LinearBench(plant(1, 1, gain=0.0)), plan, table).facts.units["bench"]
     assert not refused.ok
     assert "moves no sensor" in refused.status
+
+
+@dataclass(frozen=True)
+class Rigs:
+    """Benches behind one card; what ends the first run of a law on one of them is raised in the middle of it."""
+
+    error: Exception
+    unit: str = "first"
+    shape: tuple[int, int] = (1, 1)
+    moved: list[str] = field(default_factory=list)
+    rate_hz: float = RATE_HZ
+
+    @property
+    def actuators(self):
+        return plant(*self.shape, reach=1e6).actuators
+
+    @property
+    def sensors(self):
+        return plant(*self.shape, reach=1e6).sensors
+
+    def run(self, actuation, disturbance=None, controller=None):
+        self.moved.append(self.unit)
+        if controller is not None:
+            raise self.error
+        return LinearBench(plant(*self.shape, reach=1e6)).run(actuation, disturbance)
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (3, 4), (5, 3)])
+def test_a_bench_that_is_stopped_by_hand_ends_the_stage_and_moves_no_further_unit(ny, nu):
+    """What a law makes of its loop is told of each unit; an emergency stop is no verdict, and nothing goes on."""
+    plan = LoopPlan(("first", "second"), (), 1.0, 2.0, BAND_HZ)
+    table = CommissionTable(gains=[0.1, 1.0], seconds=2.0, settle_s=1.0)
+    by_hand = Rigs(InterlockError("Rig: the emergency stop was pressed.", "stop", 40, 1.0), shape=(ny, nu))
+    with pytest.raises(InterlockError, match="the emergency stop was pressed"):
+        commissioned("calm", law(ny, nu), by_hand, plan, table)
+    assert set(by_hand.moved) == {"first"}
+    by_level = Rigs(InterlockError("Rig: a reading was too large.", "reading", 40, 9.0), shape=(ny, nu))
+    units = commissioned("calm", law(ny, nu), by_level, plan, table).facts.units
+    assert all("a reading was too large" in unit.status for unit in units.values())
+    assert set(by_level.moved) == {"first", "second"}
 
 
 @pytest.mark.parametrize(("size", "said"), [(-30.0, "finite commands"), (0.9, "readings were no longer finite")])

@@ -3,7 +3,7 @@
 from typing import Any
 
 from ultraquiet import simulate
-from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.errors import BenchError, UltraquietError, of_the_loop
 from ultraquiet.pipeline.facts.mission import CommissionedStep, CommissionedUnit, CommissioningFacts
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.stage import Outcome
@@ -14,7 +14,11 @@ from ultraquiet.values import StateSpace
 def commissioned(
     name: str, law: StateSpace, bench: Any, plan: LoopPlan, table: CommissionTable
 ) -> Outcome[CommissioningFacts]:
-    """Put a law on at every gain of the table, on every unit; what cannot be is told, not raised."""
+    """Put a law on at every gain of the table, on every unit; what cannot be is told, not raised.
+
+    Raises:
+        BenchError: the bench failed, or was stopped by hand, which ends the stage.
+    """
     units = {unit: _on(as_unit(bench, unit), law, plan, table) for unit in plan.units}
     return Outcome({}, CommissioningFacts(law=name, margin=table.margin, units=units))
 
@@ -24,6 +28,8 @@ def _on(bench: Any, law: StateSpace, plan: LoopPlan, table: CommissionTable) -> 
     try:
         found = simulate.commission(bench, law, plan.band_hz, gains=tuple(table.gains), **how)
     except UltraquietError as error:
+        if isinstance(error, BenchError) and not of_the_loop(error):
+            raise  # a cable or an emergency stop: nothing of it is kept, and no other unit is moved
         return CommissionedUnit(status=f"refused: {error}", ok=False, gain=0.0, steps=())
     steps = [
         CommissionedStep(
