@@ -118,3 +118,24 @@ def test_a_huge_reading_trips_no_limit_that_nobody_set():
     push, timeless = uq.Channel("push", "N", -1, 1), uq.bench.Interlocks(frame_s=600.0)  # however busy the machine is
     bench = uq.bench.Hardware(lambda u: None, lambda: [1e200], 1e3, [push], ["speed"], timeless, wait=lambda: 0)
     assert bench.run(np.zeros((1, 5))).outputs[0].tolist() == [1e200] * 5
+
+
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (4, 3), (3, 5)])
+@pytest.mark.parametrize("value", [5e-324, 1e-322, -3e-310, 1e-300])
+def test_what_is_left_of_a_command_that_has_died_away_comes_to_zero_in_time(nu, ny, value):
+    """A filter stays for ever at the last numbers above zero, which have no tenth of themselves."""
+    sent = []
+
+    def write(u):
+        if len(sent) > 100:
+            raise RuntimeError("too many")
+        sent.append(u)
+
+    actuators = [uq.Channel(f"u{i}", "N", -1, 10) for i in range(nu)]
+    locks = Interlocks(slew_per_s=SLEW, ramp_s=0.1)
+    sensors = [f"y{i}" for i in range(ny)]
+    bench = uq.bench.Hardware(write, lambda: np.zeros(ny), RATE_HZ, actuators, sensors, locks, lambda: 0)
+    assert bench.run(np.full((nu, 20), value)).samples == 20
+    print(f"{len(sent)} samples sent")
+    assert not sent[-1].any()
+    assert all(np.all(np.abs(u) <= abs(value)) for u in sent)

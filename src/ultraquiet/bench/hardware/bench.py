@@ -193,7 +193,8 @@ class _Rig(SteppedPlant):
         """Lead the actuators to zero, whatever happens meanwhile; return an interrupt and a failure that stayed."""
         bench = self._bench
         samples = self._ramp_samples(self._last)
-        step = np.abs(self._last) / samples
+        # What a filter has left below the smallest normal number has no parts.
+        step = np.maximum(np.abs(self._last) / samples, np.finfo(np.float64).tiny)
         interrupt: BaseException | None = None
         failures: list[Exception] = []
         done = False
