@@ -2,7 +2,9 @@
 
 import os
 import signal
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -72,3 +74,59 @@ def test_who_interrupts_itself_ends_nothing_else():
     """Each block of threads ends what it waits for, and nothing after that."""
     interrupted(steps)
     assert in_threads("again", lambda item: item + 1, [1, 2], 2) == {1: 2, 2: 3}
+
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.parametrize("when", ["others are being begun", "the rest is waited for after an error"])
+def test_ctrl_c_at_any_time_ends_what_goes_on_in_threads(when, monkeypatch):
+    """Whoever has begun ends, and whoever has not does not begin."""
+    begun, ended, out = threading.Event(), [], []
+    submit = ThreadPoolExecutor.submit
+
+    def submitted(pool, *args):
+        if out:
+            begun.wait()
+            press()
+        out.append(args)
+        return submit(pool, *args)
+
+    def work(item):
+        if item == "fails":
+            begun.wait()
+            threading.Timer(0.2, press).start()
+            raise ValueError("of one")
+        try:
+            steps(begun.set)
+        finally:
+            ended.append(item)
+
+    items = ["a", "b"]
+    if when == "others are being begun":
+        monkeypatch.setattr(ThreadPoolExecutor, "submit", submitted)
+    else:
+        items = ["a", "fails"]
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        in_threads("any time", work, items, 2)
+    print(f"ended after {time.monotonic() - start:.2f} s: {ended}")
+    assert ended == ["a"]
+    assert time.monotonic() - start < PATIENCE_S / 3
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_waits_for_a_thread_does_not_begin_after_an_error(error, workers):
+    begun = []
+
+    def work(item):
+        begun.append(item)
+        time.sleep(0.05)
+        if item == 1:
+            raise error
+
+    with pytest.raises(error):
+        in_threads("one after another", work, list(range(10)), workers)
+    assert len(begun) <= 2 + 2 * workers

@@ -2,8 +2,9 @@
 
 import os
 import sys
-from collections.abc import Callable, Generator, Hashable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import Context, copy_context
 from functools import lru_cache, wraps
@@ -17,6 +18,7 @@ from ultraquiet._base.progress import interrupts, task, wanted_until
 P = ParamSpec("P")
 R = TypeVar("R")
 Item = TypeVar("Item", bound=Hashable)
+GLANCE_S = 0.5
 
 
 def in_threads(
@@ -50,23 +52,52 @@ def in_threads(
         with wanted_until(*ends):
             return work(item)
 
-    with (
-        one_blas_thread(),
-        task(title, len(items)) as progress,
-        ThreadPoolExecutor(workers or os.cpu_count()) as pool,
-    ):
+    pool = ThreadPoolExecutor(workers or os.cpu_count())
+    futures: dict[Future[R], Item] = {}
+    with one_blas_thread(), task(title, len(items)) as progress, _ended_with(pool, futures, interrupt):
         begin = [(copy_context() if bars else Context()).run for _ in items]
-        futures = {pool.submit(run, until_interrupted, item): item for run, item in zip(begin, items, strict=True)}
-        try:
-            for future in as_completed(futures):
-                results[futures[future]] = future.result()
-                progress.advance(note=str(futures[future]))
-        except BaseException as error:
-            if not isinstance(error, Exception):
-                interrupt.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for run, item in zip(begin, items, strict=True):
+            futures[pool.submit(run, until_interrupted, item)] = item
+        for future in _as_completed(futures):
+            results[futures[future]] = future.result()
+            progress.advance(note=str(futures[future]))
     return results
+
+
+def _as_completed(futures: Iterable[Future[R]]) -> Iterator[Future[R]]:
+    """Yield futures as they are done; looks up now and then, for a signal may come just before a wait without end."""
+    pending = set(futures)
+    while pending:
+        done, pending = wait(pending, GLANCE_S, FIRST_COMPLETED)
+        yield from done
+
+
+@contextmanager
+def _ended_with(pool: ThreadPoolExecutor, begun: Collection[Future[Any]], interrupt: Event) -> Generator[None]:
+    """Wait after a block for what it began in a pool; where block or wait are interrupted, so is all that goes on.
+
+    After an error what has not begun does not begin any more. Interrupted again, nobody waits any longer.
+    """
+
+    def ended() -> None:
+        pool.shutdown(wait=False, cancel_futures=True)
+        # not by joining: a thread of which that was interrupted is taken for one that has ended
+        deque(_as_completed([future for future in begun if not future.cancelled()]), maxlen=0)
+
+    try:
+        try:
+            yield
+        except Exception:
+            ended()
+            raise
+    except Exception:
+        raise
+    except BaseException:
+        interrupt.set()
+        ended()
+        raise
+    finally:
+        pool.shutdown()
 
 
 def single_threaded(solver: Callable[P, R]) -> Callable[P, R]:
