@@ -389,3 +389,68 @@ def test_a_study_can_be_ended_in_every_stage_and_goes_on(tmp_path):
     done = subprocess.run([sys.executable, "-c", STUDY, *map(str, words)], capture_output=True, text=True, check=False)
     print(done.stdout[-2000:], f"slowest to end: {slowest:.1f} s")
     assert done.returncode == 0, done.stderr
+
+
+RIG = """
+import os, signal
+import numpy as np
+import ultraquiet as uq
+
+def put(u):
+    with open("sent.txt", "a") as sent:
+        print(*u, file=sent)
+
+def make():
+    read = []
+
+    def get():
+        read.append(0)
+        if len(read) == 200:
+            os.kill(os.getpid(), signal.NAME)
+            read.append(0)
+        return np.zeros(NY)
+
+    forces = [uq.Channel(f"u{k}", "N", -1.0, 10.0) for k in range(NU)]
+    return uq.bench.Hardware(put, get, 500.0, forces, [f"y{k}" for k in range(NY)],
+                             uq.bench.Interlocks(frame_s=600.0), wait=lambda: 0)
+"""
+EXCITED = """
+[[commands]]
+do = "excite"
+name = "rough"
+actuator = "all"
+samples = 600
+signal = { method = "noise", peak = 0.5 }
+"""
+OF_THE_RIG = """
+[study]
+title = "The rig"
+[bench]
+object = "rig.py:make"
+[experiment]
+list = "list.toml"
+[plant]
+method = "rational"
+records = ["rough"]
+[controllers.calm.design]
+method = "lqg"
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGQUIT", "SIGINT"])
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (4, 3), (3, 5)])
+def test_a_signal_that_comes_while_a_bench_s_own_file_is_at_work_is_not_of_that_file(run, tmp_path, nu, ny, name):
+    (tmp_path / "rig.py").write_text(RIG.replace("NAME", name).replace("NU", str(nu)).replace("NY", str(ny)))
+    (tmp_path / "list.toml").write_text(EXCITED)
+    (tmp_path / "study.toml").write_text(OF_THE_RIG)
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+    try:
+        code, _, err = run("run", "study.toml")
+    finally:
+        signal.signal(number, before)
+    print(code, err)
+    assert code == 128 + number
+    assert "ultraquiet: stopped; finished stages and records are kept." in err
+    assert "rig.py" not in err
+    assert set((tmp_path / "sent.txt").read_text().splitlines()[-1].split()) == {"0.0"}

@@ -98,6 +98,10 @@ class InterlockError(BenchError):
         return InterlockError, (str(self), self.interlock, self.sample, self.value)
 
 
+class SignalExit(SystemExit):
+    """A signal has asked this program to end; the code is the shell's, 128 + number, and no file's own `sys.exit`."""
+
+
 def of_the_loop(error: BaseException) -> bool:
     """Return whether a run ended by what the loop did: it left its levels or the finite numbers.
 

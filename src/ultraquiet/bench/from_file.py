@@ -10,7 +10,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, cast
 
-from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.errors import InputError, SignalExit, UltraquietError
 from ultraquiet._base.lines import NO_LINE
 from ultraquiet._base.mistakes import TableError
 from ultraquiet._base.registry import known_are
@@ -55,7 +55,7 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
         raise InputError(f"bench '{reference}': {error}; it takes {inspect.signature(make)}.") from error
     try:
         bench = make(**given)
-    except UltraquietError:
+    except (UltraquietError, SignalExit):
         raise
     except (Exception, SystemExit) as error:
         raise InputError(f"bench '{reference}': {of_a_bench(error) or error}") from error
@@ -87,12 +87,14 @@ def _require_known(reference: str, given: Mapping[str, Any], signature: inspect.
 def of_a_bench(error: BaseException) -> str:
     """Return a sentence on an error that a bench's own file raised, with its line; empty on any other.
 
+    A signal may come while that file is at work, and is not of it.
+
     >>> of_a_bench(ValueError("of somebody else"))
     ''
     """
     frames = [(frame, line) for frame, line in traceback.walk_tb(error.__traceback__)]
     own = [each for each in frames if str(each[0].f_globals.get("__name__", "")).startswith(MODULE)]
-    if not own:
+    if not own or isinstance(error, SignalExit):
         return ""
     frame, line = own[-1]
     return f"'{Path(frame.f_code.co_filename).name}' raised {type(error).__name__} in line {line}: {error}"
@@ -125,6 +127,8 @@ def _module(path: Path, reference: str) -> ModuleType:
     sys.path.insert(0, here)  # what stands beside the file can be imported by it
     try:
         spec.loader.exec_module(module)
+    except SignalExit:
+        raise
     except (Exception, SystemExit) as error:
         said = of_a_bench(error) or f"'{path.name}' raised {type(error).__name__}: {error}"
         raise InputError(f"bench '{reference}': {said}") from error

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.errors import SignalExit, UltraquietError
 from ultraquiet._base.provenance import versions
 from ultraquiet.cli import convert, design, doctor, identify, inspect, methods, records, study, validate
 from ultraquiet.cli.deploy import command as deploy
@@ -97,7 +97,8 @@ def main() -> None:
         if said:
             _tell(f"bench: {said}")
             sys.exit(ExitCode.REFUSED)
-        if isinstance(error, SystemExit) and error.code == ExitCode.INTERRUPTED:  # typer's of Ctrl-C, without a word
+        interrupted = isinstance(error, SystemExit) and error.code == ExitCode.INTERRUPTED  # typer's of Ctrl-C
+        if interrupted or isinstance(error, SignalExit):  # neither says a word
             print(STOPPED, file=sys.stderr)
         raise
     except KeyboardInterrupt as stop:

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+from ultraquiet._base.errors import SignalExit
+
 # SIGKILL and a power cut reach no program: against them only a watch-dog in the hardware helps.
 # Windows knows neither SIGHUP nor SIGQUIT.
 ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
@@ -71,13 +73,13 @@ class Departure:
     def check(self) -> None:
         """End the run that asks, where the process is ending."""
         if self._code is not None:
-            raise SystemExit(self._code)
+            raise SignalExit(self._code)
 
     def _leave(self, number: int, frame: FrameType | None) -> None:
         del frame
         if self._code is None:  # a second signal must not cut short what the first began
             self._code = FATAL + number
-            raise SystemExit(self._code)
+            raise SignalExit(self._code)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del frame
@@ -162,4 +164,4 @@ class Termination:
         if callable(handler):
             handler(number, frame)
         else:
-            raise SystemExit(FATAL + number)
+            raise SignalExit(FATAL + number)
