@@ -3,9 +3,11 @@
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from ultraquiet._base.errors import BenchError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.bench import Blended, Block, Decimated, Hardware, Interlocks
 from ultraquiet.bench.hardware.termination import DEPARTURE, ENDINGS
+from ultraquiet.pipeline.stages import _ended_softly
 from ultraquiet.values import Blending, Channel, Decimation
 
 RATE_HZ, SLEW_V_PER_S, AT = 1000.0, 2000.0, 60
@@ -136,10 +139,11 @@ def test_a_card_that_takes_nothing_any_more_is_named_to_whoever_stands_beside_it
         bench.run(np.minimum(np.arange(150) * 0.05, 5.0) * np.array([[1.0], [-0.8]]))
 
 
-ENDED = [(how, number) for number in ENDINGS for how in ("for good", "for a block")]
+BLOCKS = ("for a block", "for a block of anybody's")
+ENDED = [(how, number) for number in ENDINGS for how in ("for good", *BLOCKS)]
 
 
-@pytest.mark.parametrize(("how", "number"), [*ENDED, ("for a block", signal.SIGINT)])
+@pytest.mark.parametrize(("how", "number"), [*ENDED, *((how, signal.SIGINT) for how in BLOCKS)])
 @pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
 def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, unit, how, number, monkeypatch):
     """Loops are closed in threads, which no signal reaches; asked again on the way down, it goes on."""
@@ -160,13 +164,14 @@ def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, u
     # whoever started the tests may ignore some of them, as a shell does for what runs behind
     before = {each: signal.signal(each, signal.SIG_DFL) for each in ENDINGS}
     usual = dict.fromkeys(ENDINGS, signal.SIG_DFL) | {signal.SIGINT: signal.getsignal(signal.SIGINT)}
-    block = DEPARTURE.holding() if how == "for a block" else contextlib.nullcontext()
+    known = bench if how == "for a block" else SimpleNamespace(run=bench.run)
+    block = contextlib.nullcontext() if how == "for good" else _ended_softly(known)
     try:
         if how == "for good":
             DEPARTURE.takes_signals()
         with pytest.raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as ended, block:
             in_threads("close", lambda _: bench.run(rising), ["bench"], 1)
-        if how == "for a block":
+        if how != "for good":
             assert {each: signal.getsignal(each) for each in usual} == usual
             assert bench.run(rising[:, :60]).samples == 60, "a process that goes on is free to run again"
     finally:
@@ -329,3 +334,19 @@ def test_a_bench_seen_through_another_is_at_rest_before_an_interrupt_of_that_is_
     assert np.abs(sent).max() > 0.1 * scale
     assert not sent[-1].any()
     assert np.abs(np.diff(sent, axis=0)).max() <= 0.05 * scale * (1 + 1e-9)
+
+
+def test_a_signal_ends_a_study_on_the_spot_where_no_guarded_bench_is_up():
+    """Whatever is computed then may take long, and nothing needs to come to rest."""
+    code = (
+        "import signal; from ultraquiet.bench.hardware.termination import DEPARTURE\n"
+        "with DEPARTURE.holding(guarded=False):\n"
+        "    try: signal.raise_signal(signal.SIGINT)\n"
+        "    except KeyboardInterrupt: print('once', flush=True)\n"
+        "    try: signal.raise_signal(signal.SIGINT)\n"
+        "    except KeyboardInterrupt: print('twice', flush=True)\n"
+        "    signal.raise_signal(signal.SIGTERM)\n"
+        "    print('still there')\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout.split()) == (-signal.SIGTERM, ["once", "twice"])

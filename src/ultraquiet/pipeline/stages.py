@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import partial
 from threading import Lock
@@ -344,4 +344,4 @@ class _Controller:
 
 def _ended_softly(bench: Any) -> AbstractContextManager[None]:
     """Return a block in whose threads a signal that ends the process brings a guarded bench to rest before."""
-    return DEPARTURE.holding() if isinstance(getattr(bench, "interlocks", None), Interlocks) else nullcontext()
+    return DEPARTURE.holding(isinstance(getattr(bench, "interlocks", None), Interlocks))

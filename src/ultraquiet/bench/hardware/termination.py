@@ -46,15 +46,17 @@ class Departure:
                 signal.signal(number, self._leave)
 
     @contextmanager
-    def holding(self) -> Generator[None]:
+    def holding(self, guarded: bool = True) -> Generator[None]:
         """Take signals that would end the process on the spot for the length of a block whose runs are in threads.
 
         Ctrl-C interrupts the block once: asked for again, the way down goes on. Handlers that somebody else has
-        installed stay in charge; outside the main thread nothing can be done.
+        installed stay in charge; outside the main thread nothing can be done. Where nobody knows whether a bench is
+        `guarded`, one of somebody's own around a guarded one, signals are taken while a guarded run is up.
         """
         mine = threading.current_thread() is threading.main_thread()
-        taken: dict[signal.Signals, tuple[Any, Any]] = dict.fromkeys(ENDINGS, (signal.SIG_DFL, self._leave))
-        taken[signal.SIGINT] = (signal.default_int_handler, self._interrupt)
+        leave, interrupt = (self._leave, self._interrupt) if guarded else (self._leave_if_up, self._interrupt_if_up)
+        taken: dict[signal.Signals, tuple[Any, Any]] = dict.fromkeys(ENDINGS, (signal.SIG_DFL, leave))
+        taken[signal.SIGINT] = (signal.default_int_handler, interrupt)
         before = [each for each, (usual, _) in taken.items() if mine and signal.getsignal(each) is usual]
         try:
             for number in before:
@@ -68,7 +70,7 @@ class Departure:
 
     def handles(self, handler: object) -> bool:
         """Tell whether a handler of signals is one of these."""
-        return handler in (self._leave, self._interrupt)
+        return handler in (self._leave, self._interrupt, self._leave_if_up, self._interrupt_if_up)
 
     def check(self) -> None:
         """End the run that asks, where the process is ending."""
@@ -86,6 +88,16 @@ class Departure:
         if self._code is None:
             self._code = FATAL + number
             raise KeyboardInterrupt
+
+    def _leave_if_up(self, number: int, frame: FrameType | None) -> None:
+        if self._up:
+            self._leave(number, frame)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
+
+    def _interrupt_if_up(self, number: int, frame: FrameType | None) -> None:
+        (self._interrupt if self._up else signal.default_int_handler)(number, frame)
 
 
 DEPARTURE = Departure()
