@@ -350,3 +350,39 @@ def test_a_signal_ends_a_study_on_the_spot_where_no_guarded_bench_is_up():
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout.split()) == (-signal.SIGTERM, ["once", "twice"])
+
+
+def rising(held, nu, ny):
+    """Return the stream of a bench on the way up, its first block measured."""
+    channels = [Channel(f"u{i}", "V", -1.0, 10.0) for i in range(nu)], [f"y{i}" for i in range(ny)]
+    locks = Interlocks(slew_per_s=100.0, ramp_s=0.01)
+    bench = Hardware(held.append, lambda: np.zeros(ny), RATE_HZ, *channels, locks, lambda: None)
+    stream: Any = bench.stream(np.minimum(np.arange(2000) * 0.05, 2.0) * np.ones((nu, 1)))
+    next(stream)
+    return stream
+
+
+@pytest.mark.parametrize("order", ["in another thread", "the first first", "the last first"])
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (4, 3), (3, 5)])
+def test_however_runs_end_ctrl_c_is_heard_afterwards_and_handlers_are_what_they_were(nu, ny, order):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS)]
+    first, last = [], []
+    streams = [rising(first, nu, ny)] + ([] if "thread" in order else [rising(last, nu, ny)])
+    for stream in streams[:: -1 if order == "the last first" else 1]:
+        if order == "in another thread":
+            other = threading.Thread(target=stream.close)
+            other.start()
+            other.join()
+        else:
+            sys.settrace(interrupting("_descend", times=10**6))
+            try:
+                with pytest.raises(KeyboardInterrupt):
+                    stream.close()
+            finally:
+                sys.settrace(None)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    rising([], nu, ny).close()
+    assert [signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS)] == before
+    for held in (first, last):
+        assert not held or (np.max(held) > 1.0 and not held[-1].any())

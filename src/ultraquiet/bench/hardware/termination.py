@@ -119,7 +119,7 @@ class Termination:
 
     def __init__(self) -> None:
         self._before: dict[signal.Signals, Any] = {}
-        self._down, self._late_s = False, math.inf
+        self._down, self._over, self._late_s = False, False, math.inf
         self.ending: BaseException | None = None
 
     def hold(self, way_down_s: float) -> None:
@@ -127,8 +127,9 @@ class Termination:
         DEPARTURE.begins(self, way_down_s)
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, *ENDINGS):
-                handler = signal.getsignal(number)
-                if handler in (signal.SIG_DFL, signal.default_int_handler) or DEPARTURE.handles(handler):
+                handler = _standing(number, signal.getsignal(number))
+                ours = DEPARTURE.handles(handler) or isinstance(getattr(handler, "__self__", None), Termination)
+                if ours or handler in (signal.SIG_DFL, signal.default_int_handler):
                     self._before[number] = handler  # before it is replaced: it may be asked for at once
                     signal.signal(number, self._take)
 
@@ -154,11 +155,21 @@ class Termination:
             self._late_s = math.inf
 
     def release(self) -> None:
-        """From here on it is sudden again."""
+        """From here on it is sudden again.
+
+        Runs may end in another order than they began, or in another thread, where no handler can be put back: one that
+        is left passes signals on to the one before, and the next run does without it.
+        """
         DEPARTURE.ends(self)
+        self._down, self._over = False, True
         if threading.current_thread() is threading.main_thread():
-            while self._before:
-                signal.signal(*self._before.popitem())
+            for number, handler in self._before.items():
+                if signal.getsignal(number) == self._take:
+                    signal.signal(number, _standing(number, handler))
+
+    def before(self, number: signal.Signals) -> Any:
+        """Return who takes a signal after the run; None while it is up."""
+        return self._before[number] if self._over else None
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         if not self._down:
@@ -177,3 +188,13 @@ class Termination:
             handler(number, frame)
         else:
             raise SignalExit(FATAL + number)
+
+
+def _standing(number: signal.Signals, handler: Any) -> Any:
+    """Return a handler, or the one before it where that is left of a run that is over."""
+    while isinstance(run := getattr(handler, "__self__", None), Termination):
+        before = run.before(number)
+        if before is None:
+            break
+        handler = before
+    return handler
