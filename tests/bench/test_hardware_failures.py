@@ -17,6 +17,7 @@ from ultraquiet._base.errors import BenchError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.bench import Blended, Block, Decimated, Hardware, Interlocks
 from ultraquiet.bench.hardware.termination import DEPARTURE, ENDINGS
+from ultraquiet.cli.experiment.halt import halting
 from ultraquiet.pipeline.stages import _ended_softly
 from ultraquiet.values import Blending, Channel, Decimation
 
@@ -386,3 +387,45 @@ def test_however_runs_end_ctrl_c_is_heard_afterwards_and_handlers_are_what_they_
     assert [signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS)] == before
     for held in (first, last):
         assert not held or (np.max(held) > 1.0 and not held[-1].any())
+
+
+@pytest.mark.parametrize("hangs", ["wait", "read"])
+@pytest.mark.parametrize(("nu", "ny"), [(1, 1), (4, 3), (3, 5)])
+def test_a_frame_that_hangs_is_ended_by_ctrl_c_where_a_list_runs(nu, ny, hangs):
+    """A list asks for it between blocks of samples, of which there are no more."""
+    held, dead = [np.zeros(nu)], threading.Event()
+
+    def hanging(answer):
+        if np.max(held[-1]) > 1.9 and not dead.is_set():
+            dead.set()
+            time.sleep(60.0)
+        return answer
+
+    bench = Hardware(
+        held.append,
+        lambda: hanging(np.zeros(ny)) if hangs == "read" else np.zeros(ny),
+        RATE_HZ,
+        [Channel(f"u{i}", "V", -1.0, 10.0) for i in range(nu)],
+        [f"y{i}" for i in range(ny)],
+        Interlocks(slew_per_s=100.0, ramp_s=0.01, frame_s=0.1),
+        lambda: hanging(0) if hangs == "wait" else 0,
+    )
+
+    def press():
+        dead.wait()
+        time.sleep(0.3)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    hand = threading.Thread(target=press)
+    before = signal.getsignal(signal.SIGINT)
+    with halting() as halt:
+        hand.start()
+        with pytest.raises(KeyboardInterrupt):
+            list(bench.stream(np.minimum(np.arange(900) * 0.05, 2.0) * np.ones((nu, 1)), stop=halt.requested))
+        hand.join()
+        assert halt.requested()
+    assert signal.getsignal(signal.SIGINT) is before
+    sent = np.array(held)
+    assert sent.max() > 1.9
+    assert not sent[-1].any()
+    assert np.abs(np.diff(sent, axis=0)).max() <= 0.1 * (1 + 1e-9)

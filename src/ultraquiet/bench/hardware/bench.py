@@ -151,6 +151,7 @@ class _Rig(SteppedPlant):
         self._mine = True
         self._termination.hold(self._longest_s())
         self._began = self._before = time.perf_counter()
+        self._termination.frame(self._began + self.guard.frame_s)
         self._write(self._last, 0)
 
     def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
@@ -254,6 +255,7 @@ class _Rig(SteppedPlant):
         now = time.perf_counter()
         self._late += late
         elapsed_s, self._before = now - self._before, now
+        self._termination.frame(now + self.guard.frame_s)
         self.guard.frame(late, elapsed_s, now - self._began, k)
 
     def _write(self, value: FloatArray, k: int) -> None:

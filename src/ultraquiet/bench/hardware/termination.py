@@ -114,7 +114,8 @@ class Termination:
     From `descends` on they are put off, Ctrl-C too, so that nothing cuts the way down short: `ending` is the exception
     that the first of them would have been. Handlers that somebody else has installed stay in charge, and what is
     ignored stays ignored (SIGHUP under `nohup`); outside the main thread nothing can be done but to `check` whether
-    `DEPARTURE` has taken one.
+    `DEPARTURE` has taken one. Who has an attribute `only_notes` notes a wish that is asked for block by block; of a
+    frame that hangs nobody asks.
     """
 
     def __init__(self) -> None:
@@ -128,7 +129,8 @@ class Termination:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, *ENDINGS):
                 handler = _standing(number, signal.getsignal(number))
-                ours = DEPARTURE.handles(handler) or isinstance(getattr(handler, "__self__", None), Termination)
+                whose = getattr(handler, "__self__", None)
+                ours = DEPARTURE.handles(handler) or isinstance(whose, Termination) or hasattr(whose, "only_notes")
                 if ours or handler in (signal.SIG_DFL, signal.default_int_handler):
                     self._before[number] = handler  # before it is replaced: it may be asked for at once
                     signal.signal(number, self._take)
@@ -139,7 +141,11 @@ class Termination:
 
     def descends(self) -> None:
         """From here on the actuators are led to zero, and an end from outside waits for that."""
-        self._down = True
+        self._down, self._late_s = True, math.inf
+
+    def frame(self, late_s: float) -> None:
+        """Begin a frame: a signal after `late_s` of this machine's clock raises `Stalled`, whoever only notes it."""
+        self._late_s = late_s
 
     @contextmanager
     def waiting(self, longest_s: float) -> Generator[None]:
@@ -161,7 +167,7 @@ class Termination:
         is left passes signals on to the one before, and the next run does without it.
         """
         DEPARTURE.ends(self)
-        self._down, self._over = False, True
+        self._down, self._over, self._late_s = False, True, math.inf
         if threading.current_thread() is threading.main_thread():
             for number, handler in self._before.items():
                 if signal.getsignal(number) == self._take:
@@ -172,12 +178,11 @@ class Termination:
         return self._before[number] if self._over else None
 
     def _take(self, number: int, frame: FrameType | None) -> None:
-        if not self._down:
-            self._act(number, frame)
-            return
         try:
             self._act(number, frame)  # `DEPARTURE` tells the runs in other threads
         except (KeyboardInterrupt, SystemExit) as ending:
+            if not self._down:
+                raise
             self.ending = self.ending or ending
         if time.perf_counter() > self._late_s:
             raise Stalled
