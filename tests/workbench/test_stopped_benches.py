@@ -9,7 +9,7 @@ import pytest
 from ultraquiet.experiments import StoppedError
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.items import FOLDER
-from ultraquiet.workbench.jobs import bench_work, lane
+from ultraquiet.workbench.jobs import bench_work, lane, worker
 from ultraquiet.workbench.jobs.lane import STOP_FILE, Lane, WorkItem
 
 HARDWARE = """
@@ -193,3 +193,28 @@ def test_the_red_button_leaves_no_voltage_on_a_bench(tmp_path, how):
         came_to_rest(sent)
     finally:
         used.close()
+
+
+class Gone:
+    """A server that is there no more after a few lines."""
+
+    lines = 0
+
+    def write(self, text):
+        self.lines += 1
+        if self.lines > 4:
+            raise BrokenPipeError(text[:10])
+
+    def flush(self):
+        """Nothing waits."""
+
+
+@pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
+def test_a_look_at_a_bench_that_nobody_takes_any_more_has_ended_before_its_error_is_told(tmp_path, nu, ny, unit):
+    session = moving_bench(tmp_path, nu, ny, unit)
+    words = {"signal": {"method": "step", "level": 5.0, "rise_s": 0.1, "fall_s": 9.0}, "actuator": 0}
+    request = {"id": 1, "task": "live", "state": session.state, "words": words}
+    with pytest.raises(BrokenPipeError) as told:
+        worker.answer(session.folder, request, Gone())
+    assert told.tb is not None
+    came_to_rest(written(session.folder))

@@ -11,8 +11,8 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Generator
+from contextlib import closing, suppress
 from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
@@ -96,9 +96,10 @@ def answer(folder: Path, request: dict[str, Any], out: Any, attendant: Attendant
     try:
         with listening(teller):
             result = TASKS[request["task"]](folder, request["state"], **request["words"])
-            if isinstance(result, Iterator):
-                for part in result:
-                    teller.say(live={**part, "signals": _text(part["signals"])}, rows=len(part["signals"]))
+            if isinstance(result, Generator):
+                with closing(result):  # an error's traceback would hold it, and what it drives
+                    for part in result:
+                        teller.say(live={**part, "signals": _text(part["signals"])}, rows=len(part["signals"]))
                 result = {}
         teller.say(result=result)
     except Exception as error:
