@@ -1,6 +1,7 @@
 """Sixty ways for callbacks to fail, lie or be interrupted: the card comes to zero within the slew limit in each."""
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -429,3 +430,33 @@ def test_a_frame_that_hangs_is_ended_by_ctrl_c_where_a_list_runs(nu, ny, hangs):
     assert sent.max() > 1.9
     assert not sent[-1].any()
     assert np.abs(np.diff(sent, axis=0)).max() <= 0.1 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("nu", "ny", "end"), [(1, 1, "raise ValueError"), (4, 3, "sys.exit(1)"), (3, 5, "break")])
+def test_a_program_that_ends_with_an_iterator_in_its_hand_has_led_the_bench_to_zero(tmp_path, nu, ny, end):
+    """A driver opens files and imports what it needs, which is there no more once Python takes itself apart."""
+    script = f"""
+import sys
+import numpy as np
+from ultraquiet.bench import Hardware, Interlocks
+from ultraquiet.values import Channel
+
+def write(u):
+    import json
+    with open({str(tmp_path / "sent")!r}, "a") as sent:
+        print(json.dumps(u.tolist()), file=sent)
+
+channels = [Channel(f"u{{i}}", "V", -1.0, 10.0) for i in range({nu})], [f"y{{i}}" for i in range({ny})]
+bench = Hardware(write, lambda: np.zeros({ny}), 1000.0, *channels, Interlocks(slew_per_s=100.0), lambda: None)
+stream = bench.stream(np.minimum(np.arange(900) * 0.05, 2.0) * np.ones(({nu}, 1)))
+for block in stream:
+    {end}
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    sent = np.array([json.loads(line) for line in (tmp_path / "sent").read_text().splitlines()])
+    print(ended.stderr[-300:], f"{len(sent)} samples sent, {np.abs(sent[-1]).max():.3g} last")
+    assert ended.returncode == (end != "break")
+    assert sent.max() > 1.5
+    assert not sent[-1].any()
+    assert np.abs(np.diff(sent, axis=0)).max() <= 0.1 * (1 + 1e-9)
+    assert "could not be brought to zero" not in ended.stderr

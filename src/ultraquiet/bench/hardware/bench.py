@@ -1,5 +1,6 @@
 """Somebody's real bench: two callbacks between interlocks."""
 
+import atexit
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -150,6 +151,8 @@ class _Rig(SteppedPlant):
             raise BenchError("Hardware: another run is going on; finish or close that one first.")
         self._mine = True
         self._termination.hold(self._longest_s())
+        if threading.current_thread() is threading.main_thread():
+            atexit.register(self._forgotten)  # the last time at which what a card's driver needs is there
         self._began = self._before = time.perf_counter()
         self._termination.frame(self._began + self.guard.frame_s)
         self._write(self._last, 0)
@@ -176,6 +179,7 @@ class _Rig(SteppedPlant):
             interrupt, failure = self._descend()
         finally:
             self._mine = False
+            atexit.unregister(self._forgotten)
             self._termination.release()
             self._bench._running.release()
         if failure is not None:
@@ -189,6 +193,10 @@ class _Rig(SteppedPlant):
         ending = interrupt or self._termination.ending
         if ending is not None and error is None:
             raise ending
+
+    def _forgotten(self) -> None:
+        """Come to rest at the end of a program that holds an iterator still, in an error's traceback for instance."""
+        self.rest(None)
 
     def _descend(self) -> tuple[BaseException | None, Exception | None]:
         """Lead the actuators to zero, whatever happens meanwhile; return an interrupt and a failure that stayed."""
