@@ -176,6 +176,34 @@ def test_what_was_not_measured_is_assumed_carried_and_said(kind):
     assert not uq.validate.from_spread(model, [model], f, "additive").outside.size
 
 
+@pytest.mark.parametrize("kind", ["output", "input"])
+@pytest.mark.parametrize("small", [1.0, 1e-9])
+def test_an_error_where_the_model_does_not_move_is_no_share_of_it(kind, small):
+    def gain(D):
+        return uq.values.interconnect.gain(small * np.array(D), 100.0)
+
+    f, dead = np.linspace(1.0, 40.0, 5), gain([[1.0, 0.0], [0.0, 0.0]])
+    for model, other in ((dead, gain(np.diag([1.0, 0.5]))), (gain([[0.0]]), gain([[1.0]]))):
+        bound = uq.validate.from_spread(model, [other], f, kind)
+        assert np.all(bound.radius == np.inf)
+        assert bound.status().word == "unknown in part"
+    # a channel that is dead in both is no error
+    both = uq.validate.from_spread(dead, [gain([[1.1, 0.0], [0.0, 0.0]])], f, kind)
+    assert both.status().ok
+    assert both.radius == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("kind", ["output", "input"])
+def test_units_of_channels_hide_no_relative_error(kind, rng):
+    D, E = rng.standard_normal((2, 3, 3))
+    far = np.array([1e9, 1.0, 1e-9])
+    # the other end's units are no part of a relative error
+    y, u = (np.ones((3, 1)), far) if kind == "output" else (far[:, None], np.ones(3))
+    model, other = (uq.values.interconnect.gain(M * y * u, 100.0) for M in (D, D + E))
+    expected = np.linalg.norm(E @ np.linalg.inv(D) if kind == "output" else np.linalg.inv(D) @ E, 2)
+    assert uq.validate.from_spread(model, [other], [1.0], kind).radius == pytest.approx(expected, rel=1e-9)
+
+
 def test_refusals(rng):
     _, result = two_by_two(rng)
     f = np.array([10.0, 600.0])

@@ -29,6 +29,7 @@ CONFIDENCE = 0.95
 DRAWS = 1000
 # Above this relative error a robust design cannot use the plant at all: nothing is known of its phase.
 UNKNOWN = 1.0
+UNMOVED = 1e-9  # share of a row that lies beside all directions of the model, above which it is no rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,8 @@ class Uncertainty:
     Attributes:
         f_hz: `(nf,)`.
         radius: what the error stays below: `(nf,)` a largest singular value (`output`, `input`, `additive`), or
-            `(ny, nu, nf)` entry by entry (`entry`, `additive-entry`).
+            `(ny, nu, nf)` entry by entry (`entry`, `additive-entry`). Infinite where the error has a part in a
+            direction that the model does not move at all.
         kind: `output`: of (G_true - G) G^-1; `input`: of G^-1 (G_true - G); `additive`: of G_true - G; `entry`:
             |G_true - G| / |G| of each entry; `additive-entry`: |G_true - G|.
         confidence: probability that the error stays below at all lines together; NaN for a spread, which is the largest
@@ -164,10 +166,13 @@ def from_covariance(
     errors = errors.reshape(draws, *nominal.shape)
     sizes = _sizes(who, errors, nominal, kind)
     typical = np.sqrt(np.mean(sizes**2, axis=0))
-    scaled = sizes / np.maximum(typical, np.finfo(float).tiny)
-    factor = float(np.quantile(scaled.reshape(draws, -1).max(axis=1), confidence))
+    with np.errstate(invalid="ignore"):  # where the model says nothing, the error is without bound
+        scaled = sizes / np.maximum(typical, np.finfo(float).tiny)
+    known = np.isfinite(typical)
+    factor = float(np.quantile(scaled[:, known].max(axis=1, initial=0.0), confidence))
+    radius = np.where(known, factor * typical, np.inf)
     source = f"{confidence:.0%} bound from the covariance of the coefficients"
-    return Uncertainty(frozen(f), frozen(factor * typical), kind, confidence, source)
+    return Uncertainty(frozen(f), frozen(radius), kind, confidence, source)
 
 
 def _drawn(who: str, result: Identified, f: FloatArray, draws: int, rng: np.random.Generator) -> ComplexArray:
@@ -288,11 +293,31 @@ def _sizes(who: str, errors: ComplexArray, nominal: ComplexArray, kind: str) -> 
                 f"{who}: a relative bound by direction needs as many inputs as outputs, the model is "
                 f"{G.shape[1]} x {G.shape[2]}; take 'entry' or 'additive'."
             )
-        inverse = np.linalg.pinv(G)
-        E = E @ inverse if kind == "output" else inverse @ E
+        return _relative(E, G) if kind == "output" else _relative(np.swapaxes(E, -1, -2), np.swapaxes(G, -1, -2))
     if E.shape[-1] == E.shape[-2] == 1:
         return np.abs(E[..., 0, 0])
     return np.asarray(np.linalg.svd(E, compute_uv=False)[..., 0], dtype=np.float64)
+
+
+def _relative(E: ComplexArray, G: ComplexArray) -> FloatArray:
+    """Return the largest singular value of X in E = X G, `(draws, nf)`; infinite where there is no X.
+
+    A direction that the model does not move at all is known to no share of it. The inverse is that of G between
+    channels of unit size: in units far apart a small one looks like none.
+    """
+    u = _power_of_two(np.linalg.norm(G, axis=1))[:, None, :]
+    y = _power_of_two(np.linalg.norm(G * u, axis=2))[:, :, None]
+    moved, errors = G * u * y, E * u * y
+    X = errors @ np.linalg.pinv(moved)
+    beside = np.linalg.norm(errors - X @ moved, axis=-1)
+    size = np.maximum(np.linalg.norm(errors, axis=-1), np.linalg.norm(moved, axis=-1))
+    gains = np.linalg.norm(X / y * np.swapaxes(y, -1, -2), 2, axis=(-2, -1))
+    return np.where(np.any(beside > UNMOVED * size, axis=-1), np.inf, gains)
+
+
+def _power_of_two(size: FloatArray) -> FloatArray:
+    """Return what brings sizes near to one without a digit lost, one where there is none."""
+    return np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0))))
 
 
 def _weight(bound: Uncertainty, rate_hz: float | None, order: int | None, count: int | None) -> UncertaintyWeight:
