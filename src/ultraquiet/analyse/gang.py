@@ -14,6 +14,7 @@ from ultraquiet.analyse.peaks import response_at
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft, series
+from ultraquiet.values.joined.wires import unswapped
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -135,6 +136,7 @@ def gang_of_six(plant: StateSpace, controller: StateSpace, prefilter: StateSpace
             f"gang: the controller must take {ny} outputs and give {nu} commands, "
             f"got one from {controller.D.shape[1]} to {controller.D.shape[0]}."
         )
+    unswapped("gang", controller, plant)
     P = _opened(plant)
     loop = lft(P, controller, measurements=ny, controls=nu)
     y, v, u = slice(0, ny), slice(ny, ny + nu), slice(ny + nu, ny + 2 * nu)

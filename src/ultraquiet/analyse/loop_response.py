@@ -12,6 +12,7 @@ from ultraquiet.analyse.plant_scale import unit_peaks
 from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft, sensitivity
+from ultraquiet.values.joined.wires import unswapped
 from ultraquiet.values.state_space import StateSpace
 
 # Size of an entry of G K above which I - G K has lost half of its digits: of rank one, it would be singular at twice.
@@ -70,6 +71,7 @@ def both_sensitivities(
 
 def _responses(plant: StateSpace, controller: StateSpace) -> Callable[[FloatArray], tuple[ComplexArray, ComplexArray]]:
     """Return what gives G and K at lines, `(nf, ny, nu)` and `(nf, nu, ny)`."""
+    unswapped("loop", controller, plant)
     of_plant, of_law = response_at(plant), response_at(controller)
 
     def at(f_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:

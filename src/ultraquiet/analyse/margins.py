@@ -20,6 +20,7 @@ from ultraquiet.analyse.peaks import (
 from ultraquiet.linalg.even import evened
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import sensitivity
+from ultraquiet.values.joined.wires import unswapped
 from ultraquiet.values.state_space import StateSpace
 
 POINTS = 3000  # of the default grid; crossings are interpolated between its points
@@ -127,6 +128,7 @@ def even_inputs(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, 
     """Return plant and controller with their states and the plant's inputs evened out, of which S does not depend."""
     if controller.D.shape != plant.D.shape[::-1]:
         return plant, controller  # to be refused by who joins them
+    unswapped("loop", controller, plant)
     (A, B, C), (a, b, c) = (evened(s.A, s.B, s.C) for s in (plant, controller))
     u = _between(np.hstack([c, controller.D]), np.vstack([B, plant.D]).T)
     G = StateSpace(A, B * u, C, plant.D * u, plant.rate_hz)

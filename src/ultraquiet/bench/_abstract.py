@@ -11,6 +11,7 @@ from ultraquiet._base.constraints import FloatArray, few_finite, real_array, sam
 from ultraquiet._base.errors import InputError, RunawayError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
+from ultraquiet.values.joined.wires import Wired, unswapped
 
 IntArray = NDArray[np.int64]
 BLOCK_S = 0.05  # a killed process loses at most what one block and the disk's queue hold
@@ -191,6 +192,18 @@ def checked_controller(who: str, controller: Any, rate_hz: float, sensors: int, 
         same_rate(who, "the controller", made_for, "the bench", rate_hz)
     controller.reset()
     return controller
+
+
+def linear_part(controller: Any) -> Any:
+    """Return the law that a stepped controller runs, as this package's own hold it; None where it shows none."""
+    return getattr(controller, "law", getattr(getattr(controller, "library", None), "law", None))
+
+
+def require_unswapped(who: str, controller: Any, bench: Wired) -> None:
+    """Refuse a controller that names a bench's channels at other places; one without names may be any."""
+    law = controller if isinstance(controller, StateSpace) else linear_part(controller)
+    if hasattr(law, "actuators") and hasattr(law, "sensors"):
+        unswapped(who, law, bench, "bench")
 
 
 def commands(who: str, output: Any, actuators: int, sample: int) -> FloatArray:

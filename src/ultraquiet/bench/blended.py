@@ -17,6 +17,7 @@ from ultraquiet.bench._abstract import (
     checked_signals,
     limits,
     ramp_of,
+    require_unswapped,
 )
 from ultraquiet.bench.inner import Around, blocks_of, ended, named_provenance
 from ultraquiet.values import Blending, Channel, Controller, StateSpace
@@ -102,6 +103,7 @@ class Blended(Around):
 
     def on_the_bench(self, controller: StateSpace | Controller) -> StateSpace | Controller:
         """Return a law of modes as one of the bench's own readings and commands, u = Ta K Ts y."""
+        require_unswapped("Blended.run", controller, self)
         if isinstance(controller, StateSpace):
             return self.blending.law(controller)
         law = checked_controller("Blended.run", controller, self.rate_hz, len(self.sensors), len(self.actuators))

@@ -18,6 +18,7 @@ from ultraquiet.bench._abstract import (
     checked_signals,
     commands,
     ramp_of,
+    require_unswapped,
 )
 from ultraquiet.bench.inner import Around, blocks_of, ended, named_provenance
 from ultraquiet.values import Channel, Controller, Decimation, StateSpace
@@ -96,6 +97,7 @@ class Decimated(Around):
     def on_the_bench(self, controller: StateSpace | Controller) -> Controller:
         """Return a law at the control rate as a controller at the bench's rate."""
         nu, ny = len(self.actuators), len(self.sensors)
+        require_unswapped("Decimated.run", controller, self)
         law = checked_controller("Decimated.run", controller, self.rate_hz, ny, nu)
         return HeldController(law, self.decimation, self.bench.rate_hz, (ny, nu))
 

@@ -21,6 +21,7 @@ from ultraquiet.bench._abstract import (
     fade,
     limits,
     ramp_of,
+    require_unswapped,
 )
 from ultraquiet.bench.inner import recorded
 from ultraquiet.values import Channel, Controller, Record
@@ -167,6 +168,7 @@ class Loop:
         nu, ny = len(setup.actuators), len(setup.sensors)
         u, d = checked_signals(setup.who, nu, actuation, disturbance)
         law = None if controller is None else checked_controller(setup.who, controller, setup.rate_hz, ny, nu)
+        require_unswapped(setup.who, controller, setup)
         return cls(setup, u, d, law)
 
     def fade(self, ramp_samples: int) -> None:

@@ -16,6 +16,7 @@ from ultraquiet.reduce._abstract import ReductionResult, Weights
 from ultraquiet.reduce.promises import Judge, Promise
 from ultraquiet.values.generalised import four_block, full, output_shaping
 from ultraquiet.values.interconnect import feedback, gain, lft
+from ultraquiet.values.joined.wires import unswapped
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -54,6 +55,7 @@ def fits(who: str, controller: StateSpace, plant: StateSpace) -> None:
             f"{who}: the controller is {controller.D.shape[0]} x {controller.D.shape[1]} (outputs x inputs), the plant "
             f"{plant.D.shape[0]} x {plant.D.shape[1]}; u = K y needs {plant.D.shape[1]} x {plant.D.shape[0]}."
         )
+    unswapped(who, controller, plant)
 
 
 def loop_norm(loop: StateSpace, norm: str) -> float:

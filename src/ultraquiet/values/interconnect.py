@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.values.joined.algebra import is_singular
+from ultraquiet.values.joined.wires import unswapped
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -83,6 +84,7 @@ def feedback(plant: StateSpace, controller: StateSpace) -> StateSpace:
     >>> complex(feedback(gain([[1.0]]), gain([[-3.0]])).frequency_response([0.0])[0, 0, 0])
     (0.25+0j)
     """
+    unswapped("feedback", controller, plant)
     ny, nu = plant.D.shape
     D = np.block([[plant.D, plant.D], [plant.D, plant.D]])
     P = StateSpace(plant.A, np.hstack([plant.B, plant.B]), np.vstack([plant.C, plant.C]), D, plant.rate_hz)
@@ -91,6 +93,7 @@ def feedback(plant: StateSpace, controller: StateSpace) -> StateSpace:
 
 def sensitivity(plant: StateSpace, controller: StateSpace) -> StateSpace:
     """Return S = (I - G K)^-1, from a disturbance at the plant's output to its output, with u = K y."""
+    unswapped("sensitivity", controller, plant)
     ny, nu = plant.D.shape
     one = np.eye(ny)
     P = StateSpace(

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.bench._abstract import checked_controller, checked_law, commands
+from ultraquiet.bench._abstract import checked_controller, checked_law, commands, linear_part
 from ultraquiet.bench.columns import Spanned, called, spanned, turned
 from ultraquiet.linalg.balance import modal
 from ultraquiet.values import Controller, StateSpace
@@ -118,7 +118,7 @@ def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float
     """
     if controller is None:
         return CompiledLaw(_silent(rate_hz), sensors, actuators)
-    law = controller if isinstance(controller, StateSpace) else _linear_part(controller)
+    law = controller if isinstance(controller, StateSpace) else linear_part(controller)
     shape = getattr(getattr(law, "D", None), "shape", None)
     nu, ny = (leading, leading) if shape == (leading, leading) else (actuators, sensors)
     if isinstance(controller, StateSpace):
@@ -129,11 +129,6 @@ def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float
     if machine is None or machine.channels != (ny, nu):
         return SteppedLaw(law, ny, nu)  # one of other channels is refused when it answers
     return CompiledLaw(_silent(rate_hz), sensors, actuators, machine)
-
-
-def _linear_part(controller: Any) -> Any:
-    """Return the law that a stepped controller runs, as this package's own hold it."""
-    return getattr(controller, "law", getattr(getattr(controller, "library", None), "law", None))
 
 
 @lru_cache(maxsize=LAWS_KEPT)

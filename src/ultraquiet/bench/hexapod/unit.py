@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import in_threads
-from ultraquiet.bench._abstract import Block, Tally, block_of, checked_signals, ramp_of
+from ultraquiet.bench._abstract import Block, Tally, block_of, checked_signals, ramp_of, require_unswapped
 from ultraquiet.bench.hexapod.laws import Plant, closing
 from ultraquiet.bench.hexapod.physics.drift import RENEWED_EVERY_S, RUN_EVERY_S
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ, STRUTS
@@ -188,6 +188,7 @@ class Hexapod(HexapodSettings):
     ) -> Simulation:
         nu, ny = len(self._limits.command_v), len(self._limits.reading_v)
         u, d = checked_signals("Hexapod.run", nu, actuation, disturbance)
+        require_unswapped("Hexapod.run", controller, self)
         law = closing(controller, nu, ny, RATE_HZ, STRUTS)
         return Simulation(self._plants(index), law, self._limits, u, d, self._noise(index), STRUTS)
 

@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg.even import even_scale
 from ultraquiet.values.channel import Channel
-from ultraquiet.values.joined.wires import apart, meet, places
+from ultraquiet.values.joined.wires import apart, meet, places, unswapped
 
 SINGULAR = 1e-12  # what is left of I - D D, as a share of what it was made of, when a loop has no solution
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -98,6 +98,7 @@ class Algebra:
         K = self._system("feedback", controller, shape=(nu, ny))
         if K.D.shape != (nu, ny):
             raise InputError(f"feedback: the controller is {K.D.shape} (outputs, inputs), the plant takes {(nu, ny)}.")
+        unswapped("feedback", K, self)
         meet("feedback", self.sensors, K.actuators, "the plant's outputs and the controller's inputs")
         meet("feedback", self.actuators, K.sensors, "the plant's inputs and the controller's outputs")
         Ck, Dk = sign * K.C, sign * K.D

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -38,6 +39,47 @@ def meet(who: str, left: Sequence[Channel], right: Sequence[Channel], how: str) 
             )
         out.append(other if is_numbered(one) else one)
     return tuple(out)
+
+
+class Wired(Protocol):
+    """Anything with channels in and out: a system, a bench."""
+
+    @property
+    def actuators(self) -> tuple[Channel, ...]:
+        """What goes in."""
+        ...
+
+    @property
+    def sensors(self) -> tuple[Channel, ...]:
+        """What comes out."""
+        ...
+
+
+def unswapped(who: str, law: Wired, loop: Wired, what: str = "plant") -> None:
+    """Refuse a law that names its loop's channels at other places: wire by wire it would close another loop.
+
+    Names that the other side does not have say nothing, nor do those that stand twice.
+
+    Args:
+        who: opens the sentence of a refusal.
+        law: u = K y; what it calls its actuators are readings, its sensors commands.
+        loop: the plant or bench that it meets.
+        what: `loop` is, in words.
+
+    Raises:
+        InputError: with the first channel that is elsewhere.
+    """
+    for kind, ours, theirs in (("reading", law.actuators, loop.sensors), ("command", law.sensors, loop.actuators)):
+        mine, others = [c.name for c in ours], [c.name for c in theirs]
+        if mine == others or len(mine) != len(others):
+            continue
+        for k, name in enumerate(mine):
+            if others[k] != name and mine.count(name) == others.count(name) == 1:
+                raise InputError(
+                    f"{who}: '{name}' is {kind} {k + 1} of the controller and {others.index(name) + 1} of the {what}, "
+                    f"so the loop would run with its wires swapped; put the controller's channels in the {what}'s "
+                    f"order, {', '.join(others)} (`pick`)."
+                )
 
 
 def apart(one: Sequence[Channel], other: Sequence[Channel], word: str) -> tuple[Channel, ...]:
