@@ -32,17 +32,11 @@ VERDICTS = {
 def loop(ny, nu, scale):
     """A stable plant, and a small law of its wires."""
     rng = np.random.default_rng(ny + nu)
-    names = [f"force {k}" for k in range(nu)], [f"speed {k}" for k in range(ny)]
-    G = uq.StateSpace(
-        0.5 * np.eye(2),
-        rng.standard_normal((2, nu)),
-        scale * rng.standard_normal((ny, 2)),
-        np.zeros((ny, nu)),
-        100.0,
-        *names,
-    )
+    forces, speeds = [f"force {k}" for k in range(nu)], [f"speed {k}" for k in range(ny)]
+    B, C = rng.standard_normal((2, nu)), scale * rng.standard_normal((ny, 2))
+    G = uq.StateSpace(0.5 * np.eye(2), B, C, np.zeros((ny, nu)), 100.0, forces, speeds)
     D = 0.01 / scale * rng.standard_normal((nu, ny))
-    K = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), D, 100.0, *names[::-1])
+    K = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), D, 100.0, speeds, forces)
     return G, K
 
 
