@@ -16,6 +16,7 @@ from ultraquiet.values.status import Status, StatusWord
 
 FREQUENCIES = 3  # of the plant's own band, where none are named: its ends and its middle
 LOSS_DB = 0.5  # attenuation that a law may lose through its code
+FAINTEST = 1e-9  # of S, as at 0 Hz under an integrator: what is below hangs on the rounding of the analysis itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,8 @@ class LoopFigures:
     """A loop in figures: the largest pole, peak sensitivity, worst margins over the loops, attenuation at tones.
 
     `attenuation_db` is -20 log10 of the largest singular value of S = (I - G K)^-1 over the directions that the
-    actuators reach (`analyse.band_attenuation`), the worst of them, one per tone; negative where it gets louder.
+    actuators reach (`analyse.band_attenuation`), the worst of them, one per tone; negative where it gets louder, zero
+    where they reach none.
     Margins are the smallest of all loops, opened one at a time at the plant's output.
     """
 
@@ -92,7 +94,7 @@ def reanalysis(
         decibel or more.
 
     Raises:
-        InputError: shapes or rates that close no loop, a tone beyond the Nyquist frequency.
+        InputError: shapes or rates that close no loop, a law in continuous time, a tone beyond the Nyquist frequency.
 
     >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1000.0)
     >>> K = StateSpace([[0.9]], [[0.1]], [[-0.5]], [[-0.3]], rate_hz=1000.0)
@@ -100,8 +102,10 @@ def reanalysis(
     ok: The loop with the rounded law is stable and loses at most 0.00 dB of attenuation at 5, 25 Hz.
     """
     same_rate("reanalysis", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+    if plant.rate_hz is None:
+        raise InputError("reanalysis: plant and law are in continuous time, code has a rate; discretise them first.")
     f = frequency_array("reanalysis", own_frequencies(plant) if tones_hz is None else tones_hz)
-    if plant.rate_hz is not None and f.max(initial=0.0) > plant.rate_hz / 2:
+    if f.max(initial=0.0) > plant.rate_hz / 2:
         raise InputError(f"reanalysis: {f.max():g} Hz lie beyond Nyquist's {plant.rate_hz / 2:g} Hz; leave them away.")
     figures = [_figures(law, plant, f) for law in (controller, rounded)]
     comparison = Reanalysis(Status(StatusWord.OK, ""), f, *figures)
@@ -119,7 +123,9 @@ def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
 
     radius = loop_radius(plant, law)
     S = sensitivity(plant, law)
-    size = np.linalg.norm(np.moveaxis(S.frequency_response(f), 2, 0) @ reached_directions(plant)(f), 2, axis=(1, 2))
+    reached = reached_directions(plant)(f)
+    size = np.linalg.norm(np.moveaxis(S.frequency_response(f), 2, 0) @ reached, 2, axis=(1, 2))
+    size = np.where(reached.any(axis=(1, 2)), np.maximum(size, FAINTEST), 1.0)
     margins = loop_margins(plant, law)
     return LoopFigures(
         pole_radius=radius,
