@@ -184,3 +184,18 @@ def test_an_unstable_plant_is_held_and_its_tone_cancelled(rng):
     print(f"{f:.1f} Hz, pole at 1.01: {-20 * np.log10(left):.1f} dB")
     assert law.status.ok
     assert left < 0.05
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+@pytest.mark.parametrize("poles", [[[1.0]], [[1.0, 1e-3], [0.0, 1.0]]])
+def test_a_plant_without_bound_at_0_hz_has_gain_at_a_tone(poles, unit):
+    n, tone_hz = len(poles), 40.0
+    plant = StateSpace(poles, [[0.0]] * (n - 1) + [[1e-3]], [[unit] + [0.0] * (n - 1)], [[0.0]], 1000.0)
+    found = YoulaKucera(tones_hz=(tone_hz,), limit=1.0).design(plant)
+    assert found.status.ok
+    x, readings = np.zeros(n), []
+    for k in range(8000):
+        y = plant.C @ x
+        readings.append(y[0])
+        x = plant.A @ x + plant.B @ (found.law.step(y) + 0.1 * np.sin(2 * np.pi * tone_hz * k / 1000.0))
+    assert np.std(readings[-1000:]) < 0.5 * np.std(readings[:1000])
