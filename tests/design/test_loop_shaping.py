@@ -5,7 +5,7 @@ import pytest
 
 from slicot_examples import SLICOT, numbers, printed
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse import hinf_norm
+from ultraquiet.analyse import hinf_norm, singular_values
 from ultraquiet.design import LoopShaping
 from ultraquiet.design.hinf import coprime_stabilisation as kernel
 from ultraquiet.linalg import discretize, realize
@@ -251,3 +251,18 @@ def test_a_gain_without_states_gets_a_gain(rate_hz, channels, gain, margin):
     np.testing.assert_allclose(result.controller.D, -gain * one, rtol=1e-9)
     if abs(gain) == 1:
         assert all(end.disk_all == np.inf for end in result.margins.values())
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9])
+@pytest.mark.parametrize("settings", [{}, {"pre": 1.0}, {"band_hz": (7.0, 12.0), "height": 2.0}])
+def test_an_undamped_mode_is_shaped_as_any_other(settings, unit):
+    w = 2 * np.pi * 7.0
+    A, B, C = [[0.0, w], [-w, 0.0]], [[0.0], [np.sqrt(w)]], [[0.0, np.sqrt(w)]]
+    found = LoopShaping(**settings).design(StateSpace(A, np.array(B) / unit, np.array(C) * unit, [[0.0]]))
+    assert found.status.ok
+    assert found.closed_loop_poles.real.max() < 0
+
+
+def test_the_gains_of_a_plant_are_infinite_on_its_poles():
+    integrators = StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), np.zeros((2, 2)))
+    assert singular_values(integrators, [0.0, 1.0]) == pytest.approx(np.array([[np.inf, 0.5 / np.pi]] * 2))

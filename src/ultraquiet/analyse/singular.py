@@ -1,5 +1,6 @@
 """Gains by direction."""
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
@@ -16,10 +17,11 @@ def singular_values(G: StateSpace, f_hz: ArrayLike) -> FloatArray:
 
     Returns:
         `(min(ny, nu), nf)`: the gains of the best to the worst direction. A wide band means that a few directions are
-        hard to measure or to move.
+        hard to measure or to move. At an undamped pole, as at 0 Hz of an integrator, they are infinite.
 
     >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1.0)
     >>> float(singular_values(G, [0.0])[0, 0])
     2.0
     """
-    return principal_gains(G.frequency_response(f_hz))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return principal_gains(G.frequency_response(f_hz))

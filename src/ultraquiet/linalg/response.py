@@ -19,9 +19,15 @@ def points(f_hz: FloatArray, rate_hz: float | None) -> ComplexArray:
 
 
 def principal_gains(response: ComplexArray) -> FloatArray:
-    """Return the singular values of a response `(ny, nu, nf)`, largest first, `(directions, nf)`."""
-    values = np.linalg.svd(np.moveaxis(response, 2, 0), compute_uv=False)
-    return np.asarray(values.T, dtype=np.float64)
+    """Return the singular values of a response `(ny, nu, nf)`, largest first, `(directions, nf)`.
+
+    A line at which it has no bound, that of an undamped pole, is infinite in every direction.
+    """
+    lines = np.moveaxis(response, 2, 0)
+    bounded = np.isfinite(lines).all(axis=(1, 2))
+    values = np.full((lines.shape[0], min(lines.shape[1:])), np.inf)
+    values[bounded] = np.linalg.svd(lines[bounded], compute_uv=False)
+    return values.T
 
 
 def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: ComplexArray) -> ComplexArray:
