@@ -5,10 +5,10 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.design import LeadLag, Modal, Notch, Skyhook, Specification, common_mode
+from ultraquiet.design import LeadLag, Modal, Notch, Skyhook, Specification, common_mode, worst_attenuation_db
 from ultraquiet.testing import problems
 from ultraquiet.values import StateSpace
-from ultraquiet.values.interconnect import feedback
+from ultraquiet.values.interconnect import append, feedback
 
 GEOPHONE = {"geophone_hz": 12.0, "geophone_zeta": 0.65}
 
@@ -125,3 +125,38 @@ def test_bad_input_is_refused(heave):
         Modal(zeta=(0.1, 0.2, 0.3, 0.4)).design(problems.damped_plant(0))
     with pytest.raises(InputError, match="continuous"):
         Modal().design(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+
+
+def collocated(modes_hz, channels, unit):
+    """Velocities at the forces of hardly damped modes, each channel by itself, in continuous time."""
+    w = 2 * np.pi * np.array(modes_hz)
+    A = np.zeros((2 * w.size, 2 * w.size))
+    for k, each in enumerate(w):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, each], [-each, -2e-6 * each]]
+    moves = np.tile([0.0, 1.0], w.size)
+    return append(*[StateSpace(A, 20.0 * moves[:, None], unit * moves[None], [[0.0]])] * channels)
+
+
+@pytest.mark.parametrize(("channels", "unit"), [(1, 1.0), (3, 1e-9)])
+def test_a_needle_between_lines_of_the_band_breaks_a_specification(channels, unit):
+    plant = collocated((8.0, 20.0), channels, unit)
+    wanted = Specification(band_hz=(9.0, 19.0), attenuation_db=20.0, control_limit=1e9 / unit)
+    found = LeadLag(gain=-1e5 / unit, specification=wanted).design(plant)
+    # nothing moves between two modes, where their velocities cancel: S is one there
+    silent_hz = np.sqrt((8.0**2 + 20.0**2) / 2)
+    at = worst_attenuation_db(plant, found.controller, (silent_hz, silent_hz))
+    assert at < 3.0
+    assert worst_attenuation_db(plant, found.controller, (9.0, 19.0)) <= at
+    assert found.status.word == "short"
+    assert found.details["score"].shortfall["attenuation_db"] >= 20.0 - at
+
+
+def test_a_needle_beyond_the_roll_off_breaks_a_specification():
+    plant = collocated((8.0, 60.0), 1, 1.0)
+    wanted = Specification(band_hz=(7.0, 9.0), attenuation_db=1e-3, roll_off_hz=30.0, roll_off_db=20.0)
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-2e-2]])
+    # |T| at the second mode, where the plant is a damper
+    G = abs(plant.frequency_response([60.0])[0, 0, 0])
+    assert wanted.score(plant, law).measured["roll_off_db"] == pytest.approx(
+        20 * np.log10(1 + 1 / (2e-2 * G)), abs=0.01
+    )

@@ -132,3 +132,13 @@ def test_idle_and_unstable_laws():
         distance(lag, static[0], (5.0, 600.0))
     with pytest.raises(uq.errors.InputError, match="by_direction"):
         by_direction(append(lag, lag), (5.0, 50.0), directions=[[1.0], [1.0]])
+
+
+def test_a_needle_in_the_band_is_the_worst_of_a_design():
+    # two hardly damped modes, between which their velocities cancel and S is one
+    A, moves = np.zeros((4, 4)), np.array([0.0, 1.0, 0.0, 1.0])
+    for k, w in enumerate(2 * np.pi * np.array([8.0, 20.0])):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -2e-6 * w]]
+    plant = StateSpace(A, 20.0 * moves[:, None], moves[None], [[0.0]])
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-1e5]])
+    assert distance(plant, law, (9.0, 19.0), basis=4).attenuation_db < 3.0

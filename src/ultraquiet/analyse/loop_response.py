@@ -1,6 +1,7 @@
 """A closed loop's response at single lines, also at poles of plant or controller, and its worst over a band."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,15 +141,33 @@ def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[f
     S = sensitivity(G, K)
     if not S.is_stable():
         return -np.inf, np.nan
+    reached_at = reached_directions(G)
+    largest, at = largest_in_band(S, plant, (low, high), lambda S, lines: S @ reached_at(lines))
+    return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
+
+
+def largest_in_band(
+    S: StateSpace, plant: StateSpace, band_hz: tuple[float, float], seen: Callable[[ComplexArray, FloatArray], Any]
+) -> tuple[float, float]:
+    """Return the largest singular value of a loop's response over a band, and its frequency in Hz.
+
+    Features of a loop are as narrow as its poles and the plant's are: what lies between evenly spaced lines is found.
+
+    Args:
+        S: the loop.
+        plant: G.
+        band_hz: (low, high) in Hz.
+        seen: gives what counts of S `(lines, ny, ny)` at these lines in Hz, `(lines, rows, columns)`.
+    """
+    low, high = band_hz
     f = np.concatenate([default_grid(S), default_grid(plant), np.geomspace(low, high, BAND_LINES)])
     f = np.unique(f[(f >= low) & (f <= high)])
-    of_loop, reached_at = response_at(S), reached_directions(G)
+    of_loop = response_at(S)
 
     def sizes(lines: FloatArray) -> FloatArray:
-        return largest_gains(np.moveaxis(of_loop(lines), 2, 0) @ reached_at(lines))
+        return largest_gains(seen(np.moveaxis(of_loop(lines), 2, 0), lines))
 
-    largest, at = refined(sizes, f, sizes(f))
-    return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
+    return refined(sizes, f, sizes(f))
 
 
 def reached_directions(plant: StateSpace) -> Callable[[FloatArray], ComplexArray]:

@@ -8,18 +8,18 @@ from ultraquiet._base.constraints import FloatArray, rising_band, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.loop_response import closed_system, loop_response
-from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.analyse.loop_response import closed_system, largest_in_band
+from ultraquiet.analyse.margins import even_inputs, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import one_direction
 from ultraquiet.limits.directions import moved
 from ultraquiet.values.door import takes_systems
+from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 WHO = "distance"
-BAND_POINTS = 400
 NOTHING_DB = 1e-3  # a peak and an attenuation below it are those of a controller that leaves the plant alone
 
 
@@ -122,6 +122,6 @@ def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:
 
 def _worst_db(plant: StateSpace, controller: StateSpace, band: tuple[float, float], V: FloatArray) -> float:
     """Return the attenuation of the worst direction over the band, dB, among those in the columns of V."""
-    f = np.geomspace(*band, BAND_POINTS)
-    S = V.T @ loop_response(plant, controller, f)[0] @ V
-    return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
+    S = sensitivity(*even_inputs(plant, controller))
+    size = largest_in_band(S, plant, band, lambda S, _: V.T @ S @ V)[0]
+    return -20 * float(np.log10(max(size, np.finfo(float).tiny)))

@@ -10,8 +10,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import rounded
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.loop_response import loop_response
-from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.analyse.loop_response import largest_in_band, loop_response
+from ultraquiet.analyse.margins import even_inputs, peak_sensitivity
 from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.design.gain_search import from_plant, without_weights
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
@@ -28,7 +28,7 @@ from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg import balance
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import output_shaping
-from ultraquiet.values.interconnect import append
+from ultraquiet.values.interconnect import append, sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -334,9 +334,13 @@ def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tup
     low, high = band_hz
     if low != high:
         rising_band("worst_attenuation_db", band_hz, plant.rate_hz)
-    f = np.unique(np.geomspace(positive("worst_attenuation_db", "band_hz", low, "Hz"), high, 400))
-    S = loop_response(plant, controller, f)[0]
-    return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
+    positive("worst_attenuation_db", "band_hz", low, "Hz")
+    if low == high:
+        size = float(np.linalg.norm(loop_response(plant, controller, np.array([low]))[0][0], 2))
+    else:
+        S = sensitivity(*even_inputs(plant, controller))
+        size = largest_in_band(S, plant, (low, high), lambda S, _: S)[0]
+    return -20 * float(np.log10(max(size, np.finfo(float).tiny)))
 
 
 def _height_for_peak(settings: BandAttenuation, part: StateSpace, plant: StateSpace, peak_db: float) -> float:
