@@ -293,3 +293,13 @@ def test_a_limit_that_was_to_be_certified_and_was_not_says_so(monkeypatch):
     assert limit.status.word == "not certified"
     assert "no bound was certified" in limit.status.sentence
     assert best_flat_attenuation(LAG, (20.0, 100.0), 6.0, control_gain=10.0, basis=30, certify=False).status.ok
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+@pytest.mark.parametrize("used", [0.6, 0.9, 0.98, 0.998])
+def test_a_bound_by_the_control_alone_is_that_of_a_plain_gain(used, unit):
+    # a plant without dynamics: S = 1 + g K S, and |K S| = used / g leaves 1 - used of it
+    plant = StateSpace([[0.5]], [[1.0]], [[0.0]], [[0.2 * unit]], 100.0)
+    found = best_flat_attenuation(plant, (1.0, 4.0), control_gain=used / (0.2 * unit), basis=20)
+    truth = -20 * np.log10(1 - used)
+    assert truth - 1e-3 <= found.bound_db <= truth + 0.1

@@ -19,7 +19,8 @@ from ultraquiet._base.errors import NumericalError
 
 LARGEST_TAIL = 2e-3  # of the last Fourier coefficients kept, relative to the largest: the circle is fine enough
 LANCZOS = 40
-DEEPEST_DB, WITHIN_DB = 20.0, 0.04  # how far above what a basis reaches a bound is sought, and how closely
+# How far above what a basis reaches a bound is sought, the furthest for which the circle is fine enough; how closely.
+DEEPEST_DB, WITHIN_DB = (20.0, 10.0, 5.0, 2.5, 1.25, 0.6, 0.3), 0.04
 FURTHEST = 100.0  # from one, beyond which it does not matter how far a norm is from it
 LEAST_DISC = 1e-12
 
@@ -84,14 +85,17 @@ def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float)
 
     def excess(level_db: float) -> float:
         if level_db not in norms:
-            norms[level_db] = hankel_measure(demands, weights, reached * 10 ** (level_db / 20))[0]
+            size, left_out = hankel_measure(demands, weights, reached * 10 ** (level_db / 20))
+            # discs shrink with the level, and the circle becomes too coarse for them: that tells nothing
+            norms[level_db] = size if left_out <= LARGEST_TAIL else 1.0
         # one is no proof yet, nor is what overflowed
         known = np.nan_to_num(norms[level_db], nan=1.0, posinf=FURTHEST)
         return float(np.log(np.clip(known, 1 / FURTHEST, FURTHEST))) or -np.finfo(float).eps
 
-    if excess(-DEEPEST_DB) <= 0:
+    proven = next((-depth for depth in DEEPEST_DB if excess(-depth) > 0), None)
+    if proven is None:
         return 0.0
-    brentq(excess, -DEEPEST_DB, 0.0, xtol=WITHIN_DB)
+    brentq(excess, proven, 0.0, xtol=WITHIN_DB)
     return float(reached * 10 ** (max(level for level, n in norms.items() if n > 1) / 20))
 
 
