@@ -152,3 +152,20 @@ def test_an_integrator_is_simulated(rng, poles):
     model, record = uq.PolynomialModel([[0.0, 0.1]], [f], 1.0), uq.Record(u, y, 1.0)
     assert uq.validate.compare(model, record).fit_percent[0] > 99.99
     assert uq.validate.compare(model.state_space(), record).fit_percent[0] > 99.99
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(4, 3, 1e9), (3, 5, 1e-9)])
+def test_a_record_with_its_channels_in_another_order_is_no_poor_fit(ny, nu, unit, rng):
+    A, B, C = np.diag([0.9, -0.5]), rng.standard_normal((2, nu)), unit * rng.standard_normal((ny, 2))
+    forces, speeds = [f"force {k}" for k in range(nu)], [f"speed {k}" for k in range(ny)]
+    model = uq.StateSpace(A, B, C, np.zeros((ny, nu)), 100.0, forces, speeds)
+    u = rng.standard_normal((nu, 300))
+    record = uq.Record(u, model.simulate(u), 100.0, forces, speeds)
+    for swapped in (record.pick(inputs=forces[::-1]), record.pick(outputs=speeds[::-1])):
+        with pytest.raises(InputError, match=r"of the record and \d of the model; bring the record's into"):
+            uq.validate.compare(model, swapped)
+        found = uq.validate.compare(model, swapped.pick(forces, speeds))
+        assert uq.validate.verdict(model, found).ok
+    # channels that were only numbered may be any
+    numbered = uq.StateSpace(A, B, C, np.zeros((ny, nu)), 100.0)
+    assert uq.validate.verdict(numbered, uq.validate.compare(numbered, record)).ok

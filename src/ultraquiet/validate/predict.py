@@ -7,6 +7,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import innovation, prediction
 from ultraquiet.values import InnovationForm, PolynomialMatrix, PolynomialModel, Record, StateSpace
 from ultraquiet.values.handed_over.kinds import takes_values
+from ultraquiet.values.joined.wires import moved
 
 Model = PolynomialMatrix | PolynomialModel | StateSpace
 Noisy = PolynomialMatrix | PolynomialModel | InnovationForm  # models that say what their outputs carry besides
@@ -96,6 +97,15 @@ def _matching(model: Model, record: Record) -> None:
             f"validate: the model has {nu} inputs and {ny} outputs, the record {len(record.actuators)} and "
             f"{len(record.sensors)}; pick the channels with record.pick."
         )
+    for kind, side in (("input", "actuators"), ("output", "sensors")):
+        theirs = getattr(model, side, ())
+        found = moved(getattr(record, side), theirs)
+        if found is not None:
+            name, here, there = found
+            raise InputError(
+                f"validate: '{name}' is {kind} {here} of the record and {there} of the model; bring the record's into "
+                f"the model's order, {', '.join(c.name for c in theirs)}, with record.pick."
+            )
 
 
 def _estimate(initial: str) -> bool:

@@ -70,16 +70,31 @@ def unswapped(who: str, law: Wired, loop: Wired, what: str = "plant") -> None:
         InputError: with the first channel that is elsewhere.
     """
     for kind, ours, theirs in (("reading", law.actuators, loop.sensors), ("command", law.sensors, loop.actuators)):
-        mine, others = [c.name for c in ours], [c.name for c in theirs]
-        if mine == others or len(mine) != len(others):
-            continue
-        for k, name in enumerate(mine):
-            if others[k] != name and mine.count(name) == others.count(name) == 1:
-                raise InputError(
-                    f"{who}: '{name}' is {kind} {k + 1} of the controller and {others.index(name) + 1} of the {what}, "
-                    f"so the loop would run with its wires swapped; put the controller's channels in the {what}'s "
-                    f"order, {', '.join(others)} (`pick`)."
-                )
+        found = moved(ours, theirs)
+        if found is not None:
+            name, here, there = found
+            raise InputError(
+                f"{who}: '{name}' is {kind} {here} of the controller and {there} of the {what}, so the loop would run "
+                f"with its wires swapped; put the controller's channels in the {what}'s order, "
+                f"{', '.join(c.name for c in theirs)} (`pick`)."
+            )
+
+
+def moved(ours: Sequence[Channel], theirs: Sequence[Channel]) -> tuple[str, int, int] | None:
+    """Return the first channel that as many others have at another place, and both places from one; None without.
+
+    Channels that were only numbered may be any, and a name that stands twice says nothing.
+
+    >>> moved([Channel("left"), Channel("right")], [Channel("right"), Channel("left")])
+    ('left', 1, 2)
+    """
+    mine, others = [c.name for c in ours], [c.name for c in theirs]
+    if mine == others or len(mine) != len(others):
+        return None
+    for k, name in enumerate(mine):
+        if others[k] != name and mine.count(name) == others.count(name) == 1 and not is_numbered(ours[k]):
+            return name, k + 1, others.index(name) + 1
+    return None
 
 
 def apart(one: Sequence[Channel], other: Sequence[Channel], word: str) -> tuple[Channel, ...]:
