@@ -19,7 +19,7 @@ from ultraquiet.design.peak_bounded.start import FLOOR
 from ultraquiet.design.peak_bounded.step import Linearised, step
 from ultraquiet.linalg import discretize
 from ultraquiet.values import StateSpace
-from ultraquiet.values.interconnect import sensitivity, series
+from ultraquiet.values.interconnect import of_one_channel, sensitivity, series
 
 PEAK_DB = 6.0
 
@@ -192,6 +192,21 @@ def test_elements_agree_with_their_state_space_and_their_slopes_with_differences
     difference = (element.response(theta + d, s) - element.response(theta - d, s)) / 2
     expected = np.einsum("ki,kij,kj->k", left, difference, right)
     np.testing.assert_allclose(element.gradient(theta, s, left, right) @ d, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("copies", [2, 6, 11])
+def test_copies_of_an_element_are_equal_to_the_last_digit_wherever_they_stand(copies):
+    """Solved with the others at once, a copy is off by what its place among the columns of a product makes of it."""
+    rng, plane = np.random.default_rng(copies), plane_of(resonant())
+    element = DampedPairs(16, 1, 1, np.ones(16), 0.03)
+    theta, one = element.start(rng, 0.01, 1.0), np.eye(copies)
+    structure = ControllerStructure((element,), tuple(Placement(0, one[:, [k]], one[[k]]) for k in range(copies)))
+    law = structure.law(theta, plane)
+    scalar, found = of_one_channel(law)
+    assert (found, scalar.states) == (copies, 16)
+    at_once = plane.from_plane(structure.system(theta))
+    f = np.geomspace(1.0, 900.0, 20)
+    np.testing.assert_allclose(law.frequency_response(f), at_once.frequency_response(f), rtol=1e-9, atol=1e-12)
 
 
 def test_drawn_plants_stay_stable_and_near(seed):

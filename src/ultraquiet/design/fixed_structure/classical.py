@@ -90,7 +90,7 @@ class ClassicalMethod(StatedRobustness):
             if "theta" in result.details:
                 result.details["values"] = self._values_hz(plane, cascades, structure, result.details["theta"])  # type: ignore[index]
             return result
-        law = plane.from_plane(structure.system(theta))
+        law = structure.law(theta, plane)
         score = wanted.score(plant, law)
         level = float(np.max(posed(plant, structure, wanted).measured(theta)))
         details = {

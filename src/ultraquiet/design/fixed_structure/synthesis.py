@@ -105,7 +105,7 @@ def synthesize_structured(
     if lowest_point is None:
         return refused(f"{who}: no start gave a stable loop with {n} states; allow more states or starts.")
     theta, level = lowest_point
-    K = problem.plane.from_plane(law.system(theta))
+    K = law.law(theta, problem.plane)
     if structure is None:
         K, level, optimum = problem_units.law(K), level / problem_units.level, optimum / problem_units.level
         plant = StateSpace(given.A, given.B[:, -nu:], given.C[-ny:], given.D[-ny:, -nu:], given.rate_hz)
@@ -131,7 +131,7 @@ class _ExactNorm:
         if not (np.all(np.isfinite(theta)) and self._problem.stability(theta) < 0):
             return np.inf
         try:
-            loop = lft(self._P, self._problem.plane.from_plane(self._problem.structure.system(theta)))
+            loop = lft(self._P, self._problem.structure.law(theta, self._problem.plane))
             norm, f_hz = hinf_norm(loop) if loop.is_stable() else (np.inf, 0.0)
         except (np.linalg.LinAlgError, UltraquietError):
             return np.inf

@@ -52,7 +52,7 @@ def tuned(
         return refused(f"{who}: no start gave a stable loop; try another structure, more states or more starts.")
     theta = _within(problem, balanced(problem, lowest_point[0], STEPS, ROUNDS)[0], plant, wanted)
     levels = problem.measured(theta)
-    controller = of_gain(problem.plane.from_plane(start.structure.system(theta)), 1 / start.unit)
+    controller = of_gain(start.structure.law(theta, problem.plane), 1 / start.unit)
     score = asked.score(given, controller)
     details = {
         "score": score,
@@ -107,7 +107,7 @@ def _within(problem: TuningProblem, theta: FloatArray, plant: StateSpace, wanted
 
 def _hard(problem: TuningProblem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> dict[str, float]:
     """Return what a law misses of the requirements that are more than wishes."""
-    score = wanted.score(plant, problem.plane.from_plane(problem.structure.system(theta)))
+    score = wanted.score(plant, problem.structure.law(theta, problem.plane))
     return {k: v for k, v in score.shortfall.items() if v > 0 and not k.startswith(WISHES)}
 
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.design.law_structure.elements import Element
+from ultraquiet.design.law_structure.plane import Plane
 from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.values.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +77,19 @@ class ControllerStructure:
         return np.concatenate([getattr(e, "lowest", free) for e, free in zip(self.elements, none, strict=True)])
 
     def system(self, theta: FloatArray) -> Matrices:
-        """Return A, B, C, D of the whole controller, place after place."""
-        own = [e.system(t) for e, t in zip(self.elements, self.parts(theta), strict=True)]
+        """Return A, B, C, D of the whole controller in the plane, place after place."""
+        return self._placed([e.system(t) for e, t in zip(self.elements, self.parts(theta), strict=True)])
+
+    def law(self, theta: FloatArray, plane: Plane) -> StateSpace:
+        """Return the controller that has these parameters in a plane.
+
+        Each element leaves the plane by itself: copies of one are equal to the last digit, whatever their places.
+        """
+        own = [plane.from_plane(e.system(t)) for e, t in zip(self.elements, self.parts(theta), strict=True)]
+        return StateSpace(*self._placed([(k.A, k.B, k.C, k.D) for k in own]), rate_hz=plane.rate_hz)
+
+    def _placed(self, own: list[Matrices]) -> Matrices:
+        """Return A, B, C, D of elements that are made of these, each at its places."""
         sizes = [own[p.element][0].shape[0] for p in self.placements]
         A, at = np.zeros((sum(sizes), sum(sizes))), 0
         for p, n in zip(self.placements, sizes, strict=True):

@@ -83,7 +83,7 @@ class SearchFromStarts:
         self.excess_db = tuple(each.excess(law, theta)[0] for each in certificates[: len(given)])
         drawn = [known.get(id(each)) or LoopCertificate(each, self.demands) for each in self._pool]
         self.drawn = tuple(each.of(law, theta) for each in drawn)
-        return self.plane.from_plane(law.system(end[1].theta))
+        return law.law(end[1].theta, self.plane)
 
     def _tighter(self) -> Demands:
         """Return the demands with room kept for the plants drawn, of which a search without them would leave none."""
