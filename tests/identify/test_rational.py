@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet.identify.response import fewest_modes
 from ultraquiet.linalg import pole_residue, vector_fitting
+from ultraquiet.linalg.modes import rank_one
 
 RATE_HZ = 3500.0
 
@@ -326,3 +328,28 @@ def test_the_last_fit_to_all_lines_brings_the_model_nearer_to_the_truth():
         told.append(fit.error[1])
     print(f"off the truth by {np.round(true, 5)} of the response, held-out noise {np.round(told, 5)}")
     assert max(true) < 0.0015
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_a_needle_between_two_lines_leaves_a_trial_of_fewer_modes(ny, nu, unit, rng):
+    """A mode so sharp that no line tells its damping meets the noise of two lines and misses the one between them."""
+    plant, poles = random_modal(rng, 4, nu, ny)
+    f = np.arange(4.0, 1200.0, 4.0)
+    z = np.exp(2j * np.pi * f / RATE_HZ)
+    G = unit * plant.frequency_response(f)
+    weight = 1 / np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 1)))
+    noise = rng.standard_normal((*G.shape, 2)) @ [1.0, 1j]
+    fitted, held_out = (
+        rank_one.Samples(z[k::2], (G + 0.01 / weight * noise)[:, :, k::2], weight[k::2]) for k in (0, 1)
+    )
+    needle = z[51] * np.exp(-1e-6)
+    start = np.append(poles, needle)
+    b = rng.standard_normal((start.size, nu)) + 0j
+    modes = rank_one.fitted_outputs(rank_one.of(start, np.zeros((ny, start.size)), b), fitted)
+    task = fewest_modes.Thinning(fitted, held_out, 0.015, 0.003)
+    plain = rank_one.refined(modes, fitted, 0)
+    trial = task.tried(modes, 0)
+    print(f"{held_out.error(plain):.3g} with the needle, {trial.held_out:.3g} without")
+    assert trial.held_out < held_out.error(plain)
+    assert trial.modes.poles.size == modes.poles.size - 2
+    assert not np.isclose(trial.modes.poles, needle).any()

@@ -81,7 +81,9 @@ def test_the_hexapod_is_tuned_on_units_drawn_with_hysteresis():
     design = uq.design.BandAttenuation(band_hz=(9.0, 108.0), height=12.0, structure="repeated")
     for unit, seed in (("ground", 11), ("flight", 12)):
         bench = uq.bench.Hexapod(unit=unit, hysteresis=True, drift=1.0).drawn(seed)
-        made = tune_in_place(bench, design, (10.0, 100.0), identify=Rational(zeros_at_dc=1))
+        # A strut at rest is a spring, of which a geophone hears nothing to the third power: below the lines of a record
+        # that is all there is to know, and a loop of as much gain there as this one may hang on it.
+        made = tune_in_place(bench, design, (10.0, 100.0), identify=Rational(zeros_at_dc=3))
         model = bench.linear_model()
         peak, _ = uq.analyse.peak_sensitivity(model, made.law)
         print(f"{unit}: {made.status}; on the truth it peaks at {peak:.1f} dB; processor seconds {made.seconds}")
