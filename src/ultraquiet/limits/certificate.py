@@ -92,10 +92,14 @@ def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float)
         known = np.nan_to_num(norms[level_db], nan=1.0, posinf=FURTHEST)
         return float(np.log(np.clip(known, 1 / FURTHEST, FURTHEST))) or -np.finfo(float).eps
 
-    proven = next((-depth for depth in DEEPEST_DB if excess(-depth) > 0), None)
-    if proven is None:
+    for depth in DEEPEST_DB:
+        if excess(-depth) > 0:
+            break
+        if norms[-depth] < 1:  # told, and the discs of higher levels are larger
+            return 0.0
+    else:
         return 0.0
-    brentq(excess, proven, 0.0, xtol=WITHIN_DB)
+    brentq(excess, -depth, 0.0, xtol=WITHIN_DB)
     return float(reached * 10 ** (max(level for level, n in norms.items() if n > 1) / 20))
 
 

@@ -19,7 +19,7 @@ from ultraquiet.values.status import Status, StatusWord
 
 # Points from 0 to pi for the certificate, and over how many a jump is smoothed; the next where one is too coarse or
 # tells nothing: a demand that binds over a narrow stretch, as a control gain far below the band does, is smeared away.
-CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30), (1 << 14, 8), (1 << 16, 8))
+CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30), (1 << 14, 8), (1 << 16, 8), (1 << 18, 8))
 USED_UP = 0.99  # share of a demand from which on it binds
 FINER = 4
 QUADRATURE = 1 << 13
