@@ -171,10 +171,17 @@ def test_rewritten_code_follows_no_link(tmp_path):
     assert (folder / "README.md").stat().st_mode & 0o777 == 0o644
 
 
+@pytest.fixture
+def swiftly():
+    """Nothing is computed or drawn twice, and no compiler found, while a test runs, and not after it."""
+    with tiny_study.swiftly():
+        yield
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("swiftly")
 @pytest.mark.parametrize("fresh", [False, True])
 def test_everything_that_a_study_leaves_replaced_by_a_link_out(fresh, tmp_path):
-    tiny_study.swift()
     source, whole, folder, outside = (tmp_path / name for name in ("source", "whole", "folder", "outside"))
     source.mkdir()
     study = tiny_study.written(source)

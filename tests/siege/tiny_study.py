@@ -6,6 +6,7 @@ touches the folder is done once for all walks of a siege (`swift`).
 
 import os
 import sys
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,7 +112,7 @@ def swift() -> None:
     """Compute and draw nothing twice in this process and its children, and find no compiler.
 
     An outcome is remembered by the whole key of its stage: a stage that took up a false file would have another key,
-    and compute.
+    and compute. A process that does more than this afterwards puts everything back (`swiftly`).
     """
     drawn, draw, outcomes, stage = [], stills.draw_small_png, {}, Cache.stage
 
@@ -134,6 +135,18 @@ def swift() -> None:
     stills.MANY = sys.maxsize  # no second process, which would draw in earnest
     os.environ["PATH"] = ""
     os.environ.pop("CC", None)
+
+
+@contextmanager
+def swiftly():
+    """Be `swift` for the length of a block."""
+    before = stills.draw_small_png, Cache.stage, stills.MANY, dict(os.environ)
+    swift()
+    try:
+        yield
+    finally:
+        stills.draw_small_png, Cache.stage, stills.MANY, environment = before
+        os.environ.update(environment)
 
 
 def walk(study: Path, folder: Path):
