@@ -140,6 +140,18 @@ def test_without_a_compiler_a_sentence_and_the_twin(tmp_path, monkeypatch):
     assert ramped.step(np.array([2.0]))[0] == pytest.approx(1.0 / 1750)
 
 
+@pytest.mark.parametrize("signal", ["INT", "TERM", "HUP"])
+def test_a_compiler_that_is_ended_with_everything_else_says_nothing_of_the_code(signal, tmp_path, monkeypatch):
+    """Ctrl-C reaches whatever the terminal runs: a study kept "not compiled" of a law as it ended."""
+    compiler = tmp_path / "cc"
+    compiler.write_text(f"#!/bin/sh\nkill -{signal} $$\n")
+    compiler.chmod(0o755)
+    made = generate(gain(0.5), tmp_path / "code")
+    monkeypatch.setenv("CC", str(compiler))
+    with pytest.raises(KeyboardInterrupt):
+        made.verify(steps=10)
+
+
 def damped():
     return StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
 

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,10 @@ COMPILERS = ("cc", "gcc", "clang")
 # No contraction into fused multiply-adds: the same bits on every processor; clang does not tell the source, so we do.
 CONTRACT_OFF = ("-ffp-contract=off", "-DULTRAQUIET_CONTRACT_OFF")
 FLAGS = ("-std=c99", "-O2", *CONTRACT_OFF, "-Wall", "-Wextra", "-Wconversion", "-Werror")
+# Signals by which a terminal or a shell ends a program and all that it has called. Windows knows two of them.
+ASKED_TO_END = frozenset(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
+)
 SECONDS = 120.0  # a generated controller compiles in under one
 
 
@@ -29,13 +34,17 @@ def call(command: Sequence[str | Path], folder: Path, seconds: float = SECONDS) 
 
     Raises:
         ToolError: it cannot be started or does not end.
+        KeyboardInterrupt: it was asked to end from outside, as is everything then, and says nothing of any code.
     """
     try:
-        return subprocess.run(
+        completed = subprocess.run(
             [str(part) for part in command], cwd=folder, capture_output=True, text=True, timeout=seconds, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ToolError(f"deploy: '{command[0]}' did not run ({error}).") from None
+    if -completed.returncode in ASKED_TO_END:
+        raise KeyboardInterrupt
+    return completed
 
 
 def compile_c(command: Sequence[str | Path], folder: Path) -> None:
