@@ -190,9 +190,7 @@ class Rational(SearchedOrder):
         best = min(errors_by_order, key=lambda n: errors_by_order[n])
         worth = WORTH * max(self.floor, errors_by_order[best])
         chosen = min(n for n, e in errors_by_order.items() if e <= np.hypot(errors_by_order[best], worth))
-        # no state is kept for what lines held out cannot tell: their RMS itself scatters by a share of 1 / sqrt(2 n)
-        told = 1.0 + 1.0 / np.sqrt(2 * 2 * held_out.H.size)
-        goal = max(told * errors_by_order[chosen], EXACT * self.floor)
+        goal = max(errors_by_order[chosen], EXACT * self.floor)
         blocks = _realised(self, _fitted(self, whole, fits[chosen].poles), z, weight)
         model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
         error = fits[chosen].error, errors_by_order[chosen]
