@@ -41,6 +41,11 @@ def evened(
     return A * d / d[:, None], B / d[:, None], C * d
 
 
+def to_unit_size(size: Array) -> Array:
+    """Return powers of two, which cost no digit, that bring sizes near to one; one where there is none."""
+    return np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0))))
+
+
 def even_scale(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     """Return d, powers of two, such that the states x / d have rows of [A B] as large as columns of [A; C].
 

@@ -7,6 +7,7 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg.even import to_unit_size
 from ultraquiet.linalg.finite_response import HankelForm
 from ultraquiet.linalg.ordered import Array
 
@@ -183,11 +184,7 @@ def _units(E: Array, A: Array) -> tuple[Array, Array]:
 
     A variable without derivative and an equation without one are measured by A alone, for E knows nothing of them.
     """
-    rows = _power(np.linalg.norm(np.hstack([E, A]), axis=1))
+    rows = to_unit_size(np.linalg.norm(np.hstack([E, A]), axis=1))
     E, A = E * rows[:, None], A * rows[:, None]
-    columns = _power(np.linalg.norm(np.where(np.any(E, axis=0), E, A), axis=0))
-    return rows * np.where(np.any(E, axis=1), 1.0, _power(np.linalg.norm(A * columns, axis=1))), columns
-
-
-def _power(size: Array) -> Array:
-    return np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0))))
+    columns = to_unit_size(np.linalg.norm(np.where(np.any(E, axis=0), E, A), axis=0))
+    return rows * np.where(np.any(E, axis=1), 1.0, to_unit_size(np.linalg.norm(A * columns, axis=1))), columns

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of, some_lines, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
+from ultraquiet.linalg.even import to_unit_size
 from ultraquiet.validate.bands import Identified, channels, moved_by, root, spread_of
 from ultraquiet.validate.beyond import held, told
 from ultraquiet.validate.compare import nearest_lines
@@ -305,19 +306,14 @@ def _relative(E: ComplexArray, G: ComplexArray) -> FloatArray:
     A direction that the model does not move at all is known to no share of it. The inverse is that of G between
     channels of unit size: in units far apart a small one looks like none.
     """
-    u = _power_of_two(np.linalg.norm(G, axis=1))[:, None, :]
-    y = _power_of_two(np.linalg.norm(G * u, axis=2))[:, :, None]
+    u = to_unit_size(np.linalg.norm(G, axis=1))[:, None, :]
+    y = to_unit_size(np.linalg.norm(G * u, axis=2))[:, :, None]
     moved, errors = G * u * y, E * u * y
     X = errors @ np.linalg.pinv(moved)
     beside = np.linalg.norm(errors - X @ moved, axis=-1)
     size = np.maximum(np.linalg.norm(errors, axis=-1), np.linalg.norm(moved, axis=-1))
     gains = np.linalg.norm(X / y * np.swapaxes(y, -1, -2), 2, axis=(-2, -1))
     return np.where(np.any(beside > UNMOVED * size, axis=-1), np.inf, gains)
-
-
-def _power_of_two(size: FloatArray) -> FloatArray:
-    """Return what brings sizes near to one without a digit lost, one where there is none."""
-    return np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0))))
 
 
 def _weight(bound: Uncertainty, rate_hz: float | None, order: int | None, count: int | None) -> UncertaintyWeight:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.equations import Riccati, continuous_riccati, discrete_least_squares
+from ultraquiet.linalg.even import to_unit_size
 from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.values.state_space import StateSpace
 
@@ -158,7 +159,7 @@ def _alike(p: H2Problem, discrete: bool) -> tuple[H2Problem, Units]:
     sizes = (np.linalg.norm(p.D12, axis=0), np.linalg.norm(p.D21, axis=1))
     if discrete:
         sizes = np.hypot(sizes[0], np.linalg.norm(p.B2, axis=0)), np.hypot(sizes[1], np.linalg.norm(p.C2, axis=1))
-    u, y = (np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0)))) for size in sizes)
+    u, y = map(to_unit_size, sizes)
     p = p._replace(B2=p.B2 * u, D12=p.D12 * u, C2=p.C2 * y[:, None], D21=p.D21 * y[:, None])
     return p._replace(D22=p.D22 * u * y[:, None]), Units(np.diag(u), np.diag(y))
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.linalg.even import even_states
+from ultraquiet.linalg.even import even_states, to_unit_size
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
@@ -52,8 +52,8 @@ def even_problem(P: StateSpace, ny: int, nu: int) -> EvenProblem:
     A, B, C, D = P.A, P.B, P.C, P.D
     for _ in range(ROUNDS):
         A, B, C, d = even_states(A, B, C)
-        across = _inverse(np.hypot(np.linalg.norm(B[:, m:], axis=0), np.linalg.norm(D[:p, m:], axis=0)))
-        down = _inverse(np.hypot(np.linalg.norm(C[p:], axis=1), np.linalg.norm(D[p:, :m], axis=1)))
+        across = to_unit_size(np.hypot(np.linalg.norm(B[:, m:], axis=0), np.linalg.norm(D[:p, m:], axis=0)))
+        down = to_unit_size(np.hypot(np.linalg.norm(C[p:], axis=1), np.linalg.norm(D[p:, :m], axis=1)))
         loud = _ratio(B[:, m:] * across, B[:, :m]) * _ratio(C[p:] * down[:, None], C[:p])
         s = float(np.exp2(np.round(np.log2(loud) / 2)))
         inputs, outputs = np.concatenate([np.full(m, s), across]), np.concatenate([np.ones(p), down])
@@ -62,11 +62,6 @@ def even_problem(P: StateSpace, ny: int, nu: int) -> EvenProblem:
         if s == 1 and np.all(d == 1) and np.all(across == 1) and np.all(down == 1):
             break
     return EvenProblem(StateSpace(A, B, C, D, P.rate_hz), u, y, level)
-
-
-def _inverse(size: Array) -> Array:
-    """Return powers of two near one over sizes, one where they vanish."""
-    return np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0))))
 
 
 def _ratio(over: Array, under: Array) -> float:
