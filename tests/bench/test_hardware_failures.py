@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ultraquiet._base.errors import BenchError
+from ultraquiet._base.errors import ENDINGS, BenchError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.bench import Blended, Block, Decimated, Hardware, Interlocks
-from ultraquiet.bench.hardware.termination import DEPARTURE, ENDINGS
+from ultraquiet.bench.hardware.termination import DEPARTURE
 from ultraquiet.cli.experiment.halt import halting
 from ultraquiet.pipeline.stages import _ended_softly
 from ultraquiet.values import Blending, Channel, Decimation

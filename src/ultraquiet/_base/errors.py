@@ -110,9 +110,19 @@ def of_the_loop(error: BaseException) -> bool:
     return isinstance(error, RunawayError) or (isinstance(error, InterlockError) and error.of_level)
 
 
+def bench_failed(error: BaseException) -> bool:
+    """Return whether a bench failed or was stopped by hand, whatever the loop did."""
+    return isinstance(error, BenchError) and not of_the_loop(error)
+
+
 def blames_no_law(error: UltraquietError) -> bool:
     """Return whether an error that ended a closed loop is one of the question or of the bench, and no verdict."""
-    return error.of_question or (isinstance(error, BenchError) and not of_the_loop(error))
+    return error.of_question or bench_failed(error)
+
+
+# Signals by which a shell, a terminal or a system ends a program, besides Ctrl-C. SIGKILL and a power cut reach no
+# program: against them only a watch-dog in the hardware helps. Windows knows neither SIGHUP nor SIGQUIT.
+ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
 
 
 def signal_name(number: int) -> str:

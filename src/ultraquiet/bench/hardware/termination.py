@@ -9,11 +9,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from ultraquiet._base.errors import SignalExit
+from ultraquiet._base.errors import ENDINGS, SignalExit
 
-# SIGKILL and a power cut reach no program: against them only a watch-dog in the hardware helps.
-# Windows knows neither SIGHUP nor SIGQUIT.
-ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
 FATAL = 128  # the shell's exit code of a program that a signal ended is this much more
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import ClassVar
 
-from ultraquiet.bench.hardware.termination import ENDINGS
+from ultraquiet._base.errors import ENDINGS
 
 # These two are meant for this program by whoever sends them, even where a shell has it start with Ctrl-C ignored.
 _MEANT = (signal.SIGINT, signal.SIGTERM)

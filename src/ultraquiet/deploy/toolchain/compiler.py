@@ -7,16 +7,12 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from ultraquiet._base.errors import ToolError
+from ultraquiet._base.errors import ENDINGS, ToolError
 
 COMPILERS = ("cc", "gcc", "clang")
 # No contraction into fused multiply-adds: the same bits on every processor; clang does not tell the source, so we do.
 CONTRACT_OFF = ("-ffp-contract=off", "-DULTRAQUIET_CONTRACT_OFF")
 FLAGS = ("-std=c99", "-O2", *CONTRACT_OFF, "-Wall", "-Wextra", "-Wconversion", "-Werror")
-# Signals by which a terminal or a shell ends a program and all that it has called. Windows knows two of them.
-ASKED_TO_END = frozenset(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
-)
 SECONDS = 120.0  # a generated controller compiles in under one
 
 
@@ -42,7 +38,7 @@ def call(command: Sequence[str | Path], folder: Path, seconds: float = SECONDS) 
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ToolError(f"deploy: '{command[0]}' did not run ({error}).") from None
-    if -completed.returncode in ASKED_TO_END:
+    if -completed.returncode in (signal.SIGINT, *ENDINGS):
         raise KeyboardInterrupt
     return completed
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from ultraquiet import simulate
-from ultraquiet._base.errors import BenchError, UltraquietError, of_the_loop
+from ultraquiet._base.errors import UltraquietError, bench_failed
 from ultraquiet.pipeline.facts.mission import CommissionedStep, CommissionedUnit, CommissioningFacts
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.stage import Outcome
@@ -28,7 +28,7 @@ def _on(bench: Any, law: StateSpace, plan: LoopPlan, table: CommissionTable) -> 
     try:
         found = simulate.commission(bench, law, plan.band_hz, gains=tuple(table.gains), **how)
     except UltraquietError as error:
-        if isinstance(error, BenchError) and not of_the_loop(error):
+        if bench_failed(error):
             raise  # a cable or an emergency stop: nothing of it is kept, and no other unit is moved
         return CommissionedUnit(status=f"refused: {error}", ok=False, gain=0.0, steps=())
     steps = [
