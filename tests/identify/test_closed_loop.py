@@ -84,7 +84,8 @@ def test_order_and_past_come_from_the_record(rng):
     assert result.loss == pytest.approx(0.3**2 * np.ones(2), rel=0.05)
 
 
-def test_a_plant_that_only_its_loop_holds(rng):
+@pytest.mark.parametrize("offset", [0.0, 3.0])
+def test_a_plant_that_only_its_loop_holds(rng, offset):
     """An unstable plant is found as unstable when that is allowed, and never simulated into a model that looks fine."""
     A = np.array([[1.02, 0.05], [0.0, 0.8]])
     truth = uq.StateSpace(A, np.array([[1.0, 0.0], [0.3, 1.0]]), np.eye(2), np.zeros((2, 2)), RATE_HZ)
@@ -95,12 +96,15 @@ def test_a_plant_that_only_its_loop_holds(rng):
         y[:, t] = x + e[:, t]
         u[:, t] = r[:, t] + law @ (y[:, t - 1] if t else np.zeros(2))
         x = A @ x + truth.B @ u[:, t]
-    record = uq.Record(u, y, RATE_HZ)
+    record = uq.Record(u, y + offset, RATE_HZ)
     result = uq.identify.PredictorSubspace(order=2, stable=False).identify(record)
     poles = np.sort(result.model.poles().real)
     print(f"\npoles {poles.round(4)} of 0.8 and 1.02, {result.status}")
     assert poles == pytest.approx([0.8, 1.02], abs=0.02)
     assert result.status.ok
+    # the slow predictor remembers where it began: its state and the constant are fitted together
+    past_fitted = np.mean(result.model.innovations(record) ** 2, axis=1)
+    assert result.loss == pytest.approx(past_fitted, rel=1e-3)
     assert np.all(np.isneginf(result.fit_percent))
     assert uq.validate.compare(result.model, record, steps=1).fit_percent == pytest.approx(
         100 * (1 - np.sqrt(result.loss) / y.std(axis=1)), abs=0.5

@@ -174,10 +174,11 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
     inner = start.A - start.K @ start.C
     if np.linalg.cond(np.linalg.eig(inner)[1]) > PARALLEL or not start.predicts():
         return SystemFit(start, 0, False)
-    # a constant at the outputs enters the predictor with them: the search knows its sum with what K makes of it
+    # The search takes the outputs as they are, with the constant c: its states lie (I - A + K C)^-1 K c above those of
+    # outputs without it, and what it finds at the outputs is c less what these make of it.
     settled = np.linalg.solve(np.eye(len(inner)) - inner, start.K)
     shifted = replace(start, constant=start.constant - start.C @ settled @ start.constant)
-    drive = np.hstack([start.B - start.K @ start.D, start.K, (start.x0 - settled @ start.constant)[:, None]])
+    drive = np.hstack([start.B - start.K @ start.D, start.K, (start.x0 + settled @ start.constant)[:, None]])
     at = gauss_newton.BlockModel.of(inner, drive, start.C, options.direct(shifted))
     signals = gauss_newton.Signals.of(np.vstack([data.u, data.y]), data.u, data.y, options.feedthrough, options.offset)
 
@@ -187,7 +188,7 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         D, total = options.parts(at.direct, nu)
         settled = np.linalg.solve(np.eye(len(A)) - A, K)
         constant = np.linalg.solve(np.eye(ny) - C @ settled, total).astype(np.float64)
-        return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] + settled @ constant, constant)
+        return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] - settled @ constant, constant)
 
     def admissible(at: gauss_newton.BlockModel) -> bool:
         return at.radius <= STABLE_RADIUS and (not stable or system_at(at).stable())
