@@ -105,7 +105,10 @@ def test_a_record_on_disk_has_the_same_silent_bands(seed, tmp_path):
     path = tmp_path / "record.h5"
     with LongWriter(path, record.rate_hz, record.actuators, record.sensors) as file:
         file.append(record.inputs, record.outputs)
-    memory, disk = (sizes(found_in(each), plant) for each in (record, LongRecord(path)))
+    found = [uq.identify.Subspace(order=20, horizon=20).identify(each) for each in (record, LongRecord(path))]
+    memory, disk = (sizes(each.state_space(), plant) for each in found)
+    assert found[0].status.word == found[1].status.word
+    assert found[0].details["spare_modes"] == found[1].details["spare_modes"]
     print(f"memory and disk: {memory[0]:.2%} and {disk[0]:.2%} off inside, {memory[1]:.3f} and {disk[1]:.3f} beyond")
     assert disk == pytest.approx(memory, rel=0.02)
 

@@ -81,9 +81,19 @@ def numbers_of(states: int, inputs: int) -> int:
     return states * (inputs + 3) + inputs + 1
 
 
-def unless_silent(status: Status, share: float, samples: int, parameters: float) -> Status:
-    """Return the verdict on one output, no longer `ok` where its inputs explain no more of it than chance would."""
-    return silence(share) if status.ok and by_chance(share, samples, parameters) else status
+def unless_silent(status: Status, share: float, samples: int, parameters: float, free: float | None = None) -> Status:
+    """Return the verdict on one output, no longer `ok` where its inputs explain no more of it than chance would.
+
+    A model of nothing may end anywhere, and what it leaves may have any colour. Where the p-value `free` says that its
+    error holds nothing of the inputs either, they have nothing to do with the output, and that is said first.
+    """
+    asked = status.ok or (free is not None and of_nothing(status, free))
+    return silence(share) if asked and by_chance(share, samples, parameters) else status
+
+
+def of_nothing(status: Status, free: float) -> bool:
+    """Return whether a verdict that is not `ok` may be on a model of nothing: its error is free of the inputs."""
+    return status.word in (StatusWord.NOT_WHITE, StatusWord.NOT_CONVERGED) and free >= SIGNIFICANCE
 
 
 def silence(share: float) -> Status:

@@ -89,7 +89,7 @@ def judged(
         for i, (p, q, share) in enumerate(zip(free, white, shares, strict=True))
     ]
     if search.predicts or system.stable():  # of an unstable model nothing is simulated
-        statuses = [_unless_silent(*each, system) for each in zip(statuses, data.y, tested, strict=True)]
+        statuses = [_unless_silent(*each, system) for each in zip(statuses, free, data.y, tested, strict=True)]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
     spread, no_band = _spread(model, record, data, search)
@@ -110,11 +110,11 @@ def judged(
     )
 
 
-def _unless_silent(status: Status, y: FloatArray, error: FloatArray, system: System) -> Status:
+def _unless_silent(status: Status, free: float, y: FloatArray, error: FloatArray, system: System) -> Status:
     """Return the verdict on one output, that its inputs explain no more than chance would before spare modes."""
     share, numbers = chance.explained(y, error), chance.numbers_of(len(system.A), system.B.shape[1])
     spare = status.word is StatusWord.NOT_CONVERGED and chance.by_chance(share, y.size, numbers)
-    return chance.silence(share) if spare else chance.unless_silent(status, share, y.size, numbers)
+    return chance.silence(share) if spare else chance.unless_silent(status, share, y.size, numbers, free)
 
 
 def _spread(
@@ -185,6 +185,17 @@ def spare_modes(system: System, data: Scaled, predicts: bool) -> int:
     return spare
 
 
+def too_many(spare: int, order: int) -> Status | None:
+    """Return the verdict on an order of which so many modes cannot be told from noise, None where it has few such."""
+    if spare <= SPARE_SHARE * order / 2:
+        return None
+    return Status(
+        StatusWord.NOT_CONVERGED,
+        f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
+        f"order (None chooses it), or record longer.",
+    )
+
+
 def growing(record: Record) -> tuple[int, ...]:
     """Return the outputs that grow through the record while the inputs do not: the plant, or its loop, is unstable."""
     tenth = max(1, record.samples // 10)
@@ -219,12 +230,8 @@ def _verdict(
         return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {search.steps} steps.")
     if exact is not None:  # there is no noise that a mode could be told from
         return exact
-    if spare > SPARE_SHARE * order / 2:
-        return Status(
-            StatusWord.NOT_CONVERGED,
-            f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
-            f"order (None chooses it), or record longer.",
-        )
+    if (beyond := too_many(spare, order)) is not None:
+        return beyond
     if min(free, white) < SIGNIFICANCE:
         what = "still holds something of the inputs" if free <= white else "is not white"
         whose = "one-step" if search.predicts else "simulated"

@@ -172,21 +172,26 @@ def carried(bank: FilterBank, modes: Modes) -> FloatArray:
 
 
 def pruned(bank: FilterBank, modes: Modes) -> tuple[FilterBank, Modes]:
-    """Leave out modes that the record cannot tell from noise, the fainter half at a time, the rest fitted again.
-
-    A mode must carry log n error variances for each of its numbers, as by Schwarz's criterion.
-    """
+    """Leave out modes that the record cannot tell from noise, the fainter half at a time, the rest fitted again."""
     while len(modes.poles) > 1:
-        states = np.where(modes.poles.imag == 0.0, 1, 2)
-        share = carried(bank, modes) / (states * (bank.nu + bank.ny) * np.log(bank.n))
+        share = told(bank, modes)
         faint = np.flatnonzero(share < 1.0)
         if not faint.size:
             break
-        gone = faint[np.argsort(share[faint])[: min((faint.size + 1) // 2, len(states) - 1)]]
-        kept = np.setdiff1d(np.arange(len(states)), gone)
+        gone = faint[np.argsort(share[faint])[: min((faint.size + 1) // 2, len(share) - 1)]]
+        kept = np.setdiff1d(np.arange(len(share)), gone)
         bank = bank.only(kept)
         modes = bank.fit_b(modes.c[:, kept])
     return bank, modes
+
+
+def told(bank: FilterBank, modes: Modes) -> FloatArray:
+    """Return what each mode carries of what it must to be told from noise, `(m,)`.
+
+    That is log n error variances for each of its numbers, as by Schwarz's criterion.
+    """
+    states = np.where(modes.poles.imag == 0.0, 1, 2)
+    return np.asarray(carried(bank, modes) / (states * (bank.nu + bank.ny) * np.log(bank.n)))
 
 
 def state_map(b: ComplexArray, extra: int, direct: int) -> FloatArray:

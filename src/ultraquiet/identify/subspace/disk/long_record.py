@@ -17,7 +17,15 @@ from ultraquiet.identify import chance
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, worst
-from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection, unexcited
+from ultraquiet.identify.subspace import (
+    evidence,
+    fit,
+    hankel,
+    missing_modes,
+    modal_least_squares,
+    order_selection,
+    unexcited,
+)
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Horizon, SubspaceStart
@@ -122,9 +130,10 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
     evidence.independent("Subspace", piece)
     order = order_selection.chosen(settings, piece) if settings.given_order is None else settings.given_order
     data = ScaledStream(record, statistics).topped_up()
-    best = min(_starts(settings.allowing_feedthrough(), data, order), key=lambda s: s.loss)
-    settings, best = settings.of_start(best)
-    modes, steps, converged = _finished(settings, data, best)
+    allowing = settings.allowing_feedthrough()
+    best = min(_starts(allowing, data, order), key=lambda s: s.loss)
+    settings, best = settings.of_start(best if settings.refine else _replenished(allowing, data, best))
+    bank, modes, steps, converged = _finished(settings, data, best)
     early = data.first(NOISE_SAMPLES)
     system = fit.system(modes)
     system = replace(system, K=fit.noise_gain(system, best.innovations(early), early))
@@ -134,6 +143,7 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
         "order": len(system.A),
         "singular_values": best.horizon.values,
         "samples": data.samples,
+        "spare_modes": int(np.count_nonzero(modal_least_squares.told(bank, modes) < 1.0)),
     }
     return _judged(system, data, (steps, converged), provenance, details)
 
@@ -166,18 +176,39 @@ def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: Com
     return StreamedBank(poles, data.heard(title), shape, bool(settings.feedthrough), settings.offset)
 
 
-def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> tuple[Modes, int, bool]:
-    """Return the modes after the last rounds, poles refined when asked for, with the search's steps and its end."""
-    if not settings.refine:
-        return best.settled(), 0, True
+def _stretch(data: ScaledStream) -> fit.Scaled:
+    """Return the most excited stretch in memory, topped up as the whole is."""
     piece = data.scaled(_most_excited(data.record, data.statistics, REFINED_SAMPLES))
-    piece = unexcited.topped_up(piece, unexcited.silent_bands(piece.u)) if data.added is not None else piece
+    return unexcited.topped_up(piece, unexcited.silent_bands(piece.u)) if data.added is not None else piece
+
+
+def _replenished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> SubspaceStart:
+    """Return the start, faint modes replaced by those that its error on one stretch shows, where that serves all."""
+    grows = settings.given_order is None
+    sought = missing_modes.Sought(_stretch(data), bool(settings.feedthrough), settings.offset, grows)
+    bank, modes = sought.fitted(fit.system(best.modes))
+    _, other = missing_modes.replenished(bank, modes, sought)
+    if np.array_equal(other.poles, modes.poles):
+        return best
+    bank = _bank(settings, data, "subspace: least squares with modes that were missed", other.poles)
+    modes = alternate(bank, other.c, missing_modes.ROUNDS, GAIN)
+    loss = modal_least_squares.cost(bank, modes)
+    return replace(best, loss=loss, bank=bank, modes=modes) if loss < best.loss else best
+
+
+def _finished(
+    settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart
+) -> tuple[FilterBank, Modes, int, bool]:
+    """Return bank and modes after the last rounds, poles refined when asked for, the search's steps and its end."""
+    if not settings.refine:
+        return best.bank, best.settled(), 0, True
+    piece = _stretch(data)
     refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
     modes = alternate(bank, directions, ROUNDS, GAIN)
     better = modal_least_squares.cost(bank, modes) < modal_least_squares.cost(best.bank, best.modes)
-    return (modes if better else best.modes), steps, converged
+    return (bank, modes, steps, converged) if better else (best.bank, best.modes, steps, converged)
 
 
 def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
@@ -222,12 +253,14 @@ def _judged(
     spread = predicted.products()[0] / n
     squares = np.diag(simulated.products()[0])[:ny] / n
     numbers = chance.numbers_of(len(system.A), nu)
+    beyond = evidence.too_many(details["spare_modes"], len(system.A))
     statuses = [
         chance.unless_silent(
-            _verdict(p, data.statistics, i, data.record, *search, noiseless(float(squares[i]))),
+            _verdict(p, data.statistics, i, data.record, *search, noiseless(float(squares[i])) or beyond),
             chance.explained_of(heard[i], 0, 1),
             n,
             numbers,
+            p,
         )
         for i, p in enumerate(free)
     ]
@@ -282,10 +315,11 @@ def _verdict(
     record: LongRecord,
     steps: int,
     converged: bool,
-    exact: Status | None,
+    known: Status | None,
 ) -> Status:
-    if exact is not None and not statistics.clipped[output]:  # there is no noise that anything could be told from
-        return exact
+    """Return the verdict on one output; what is `known` without a test stands unless readings are at their limits."""
+    if known is not None and not statistics.clipped[output]:
+        return known
     if not converged:
         return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {steps} steps.")
     if p < SIGNIFICANCE:
