@@ -5,9 +5,9 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.values import Record
 
-# Segments of a record: so many more than four times its inputs; few and long, for modes that ring long. Fewer samples
-# in one hold too few lines to test.
-SEGMENTS, SHORTEST = 8, 16
+# Segments of a record: so many more than four times its inputs; few and long, for modes that ring long. A mode that
+# fills one line of them is told more surely by so many times as many. Fewer samples in one hold too few lines to test.
+SEGMENTS, MORE, SHORTEST = 8, 4, 16
 OWN_SHARE = 1e-6  # of an input that the others leave unexplained, of its strongest line: less is rounding
 LEAST_P = 1e-300  # of one line
 
@@ -20,6 +20,7 @@ def answers(record: Record) -> tuple[FloatArray, FloatArray]:
     explains of what the others leave is Beta(1, K - m), whatever the inputs are. Lines are put together three times, by
     the sum of -log p over the even and over the odd ones (many weak lines; neighbours of a Hann-windowed spectrum are
     correlated by 2/3, every second one by 1/6) and by the smallest p (one strong line); three times the least counts.
+    All that is done with few long segments and with many short ones, and twice the lesser p counts (Bonferroni).
 
     Args:
         record: its samples; short ones (16 samples a segment) tell nothing.
@@ -29,11 +30,17 @@ def answers(record: Record) -> tuple[FloatArray, FloatArray]:
 
     Reference: J. S. Bendat, A. G. Piersol, Random Data, 4th ed. (2010), chapter 9, doi:10.1002/9781118032428.
     """
-    ny, nu = len(record.sensors), len(record.actuators)
-    any_p, each_p = np.ones(ny), np.ones((ny, nu))
-    moving, segments = _moving(record)
-    if not tells(record):
-        return any_p, each_p
+    moving, few = _moving(record)
+    told = [_answers(record, moving, k) for k in (few, MORE * few) if moving and record.samples // k >= SHORTEST]
+    if not told:
+        return np.ones(len(record.sensors)), np.ones((len(record.sensors), len(record.actuators)))
+    any_p, each_p = (np.min(part, axis=0) for part in zip(*told, strict=True))
+    return np.minimum(len(told) * any_p, 1.0), np.minimum(len(told) * each_p, 1.0)
+
+
+def _answers(record: Record, moving: list[int], segments: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same p-values from so many segments."""
+    each_p = np.ones((len(record.sensors), len(record.actuators)))
     U = np.stack([_lines(record.inputs[j], segments) for j in moving], axis=2)
     Y = np.stack([_lines(y, segments) for y in record.outputs], axis=2)
     any_p = _together(_explained(U, Y, len(moving)), len(moving), segments - len(moving))

@@ -158,6 +158,7 @@ def _group_fit(
     status, silent = judged(
         noiseless(model.noise_variance / max(power, np.finfo(float).tiny))
         or verdict(best.state, best.iterations, evidence),
+        evidence[1],
         model,
         lambda: chance.explained_together([(data.recorded, miss) for data, miss in zip(sets, misses, strict=True)]),
         samples,

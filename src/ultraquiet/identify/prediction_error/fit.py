@@ -114,6 +114,7 @@ def finished(
     share = best.loss / max(float(np.var(data.y)), np.finfo(float).tiny)
     status, silent = judged(
         noiseless(share) or verdict(best.state, best.iterations, evidence),
+        evidence[1],
         model,
         lambda: chance.explained(data.recorded, data.recorded - output),
         data.recorded.size,
@@ -136,18 +137,19 @@ def finished(
 
 
 def judged(
-    status: Status, model: PolynomialModel, explains: Callable[[], float], samples: int, parameters: float
+    status: Status, free: float, model: PolynomialModel, explains: Callable[[], float], samples: int, parameters: float
 ) -> tuple[Status, bool]:
     """Return what the verdict on a residual says of a model, and whether its inputs explain no more than chance would.
 
     A residual that is white and free of the inputs is no praise where the inputs have nothing to do with the output, or
     where only one step is predicted. `explains` returns the share of `chance.explained`; it is asked where it matters.
+    `free` is the p-value that the residual holds nothing of the inputs.
     """
-    if not status.ok:
+    if not (status.ok or chance.of_nothing(status, free)):
         return status, False
     if not model.is_stable():  # of ARX and ARMAX alone: their A is not divided by
         said = "The model is unstable: it predicts one step, but its simulation grows without bound."
-        return Status(StatusWord.POOR_FIT, said), False
+        return (Status(StatusWord.POOR_FIT, said) if status.ok else status), False
     told = explains()
     silent = chance.by_chance(told, samples, parameters)
     return (chance.silence(told) if silent else status), silent

@@ -283,6 +283,7 @@ def _fit_output(
     simulation = _simulation(data, model, fitted, title)
     status, silent = one_fit.judged(
         noiseless(point.criterion) or one_fit.verdict(best.state, best.iterations, evidence),
+        evidence[1],
         model,
         lambda: _explained(simulation),
         record.samples,

@@ -84,7 +84,7 @@ def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_
             "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
         )
     told = chance.explained_of(sums, -1, 0)
-    status = chance.unless_silent(status, told, n, len(running.coefficients) + len(inputs) * s.longest + 1)
+    status = chance.unless_silent(status, told, n, len(running.coefficients) + len(inputs) * s.longest + 1, free)
     m = running.model
     loss = float(sums.products()[0, 0, 0]) / n
     model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)

@@ -130,8 +130,8 @@ class RegularisedArx(RegularisedFit):
             for m, f, w, c, e, y in zip(models, fits, white, free, residuals, record.outputs, strict=True)
         ]
         statuses = [
-            chance.unless_silent(status, share, record.samples, f[2].freedom)
-            for status, f, share in zip(statuses, fits, told, strict=True)
+            chance.unless_silent(status, share, record.samples, f[2].freedom, float(c))
+            for status, f, share, c in zip(statuses, fits, told, free, strict=True)
         ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(

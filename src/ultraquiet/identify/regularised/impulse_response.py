@@ -132,6 +132,7 @@ class ImpulseResponse(RegularisedFit):
                 chance.explained(record.outputs[i, start:], errors[i]),
                 errors[i].size,
                 f[2].freedom,
+                p,
             )
             for i, (f, p) in enumerate(zip(fits, free, strict=True))
         ]
