@@ -15,6 +15,7 @@ from ultraquiet._base.errors import InterlockError, of_the_loop
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE
 from ultraquiet.simulate.growth.lowered import within_limits
+from ultraquiet.simulate.growth.repeated import repeated
 from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, LONGER, Seen, apart, decaying_before, judged, loudness
 from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, tones_alone, used
 from ultraquiet.values import Record, StateSpace, StatusWord
@@ -27,6 +28,7 @@ MOST_ALONE, RINGS = 6, 100.0
 JUST_BEFORE = 16  # samples before a channel first stands at its limit
 # Of what a burst set going, nothing to speak of; of what it was three eighths of a record before, less.
 DEAD, FALLING = 0.01, 0.5
+WIDTHS = 4.0  # of a record's lines, within which two modes are taken for one
 _Heard = tuple[Burst, FreeResponse]
 
 
@@ -36,22 +38,30 @@ def sticking(bench: Bench, law: StateSpace | Controller, bursts: Bursts, seen: S
     `bursts` are those that fill their share of the ranges; each is raised further where the loop, sticking, made it
     small. After them comes a tone at each of the slowest modes: of a broadband burst little stays in a mode that rings
     for longer than the burst, perhaps less than what sticks. One that a guard ends says nothing.
+
+    A loud burst may also raise a mode above the noise that was not heard before. Where it neither grows nor decays
+    beyond doubt within the record, more records are asked: that all else has died says nothing of it.
     """
+    doubts: list[float] = []
     for burst in (bursts.white, bursts.coloured, *_tones(bench, bursts.white, seen)):
         known = replace(burst, hums_hz=seen.record.hums_hz, outside_hz=seen.record.outside_hz)
         try:
             begun = tones_alone(bench, law, known, known.modes_hz) if known.modes_hz else known
-            grown = _grown(bench, law, louder(bench, law, begun), seen)
+            grown = _grown(bench, law, louder(bench, law, begun), seen, doubts)
         except InterlockError as error:
             if not of_the_loop(error):
                 raise
             continue
         if grown is not None:
             return grown
-    return None
+    if not doubts:
+        return None
+    begun = replace(bursts.coloured, hums_hz=seen.record.hums_hz, outside_hz=seen.record.outside_hz)
+    again = repeated(bench, law, begun, replace(seen, word=None, doubtful_hz=tuple(doubts)))
+    return None if again.word is StatusWord.OK else again
 
 
-def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen) -> Seen | None:
+def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen, doubts: list[float]) -> Seen | None:
     """Return what a loud burst sets going that does not die, None where it dies.
 
     What decays by another rate at every size looks like other modes that grow, for a while: growth is believed where
@@ -60,13 +70,29 @@ def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen)
     burst, found = loud
     while found.limited <= CLIPPED_SHARE:
         again = judged(bench, found)
-        if again.word is StatusWord.OK or _dies(found):
+        if again.word is StatusWord.OK:
             return None
-        if burst.samples >= _longest(seen):
+        at_length = burst.samples >= _longest(seen)
+        if at_length:
+            doubts += _unheard(again, seen, doubts)
+        if _dies(found):
+            return None
+        if at_length:
             grows = again.word is StatusWord.UNSTABLE and not again.slow
             return again if grows else None if _falls(found, seen) else _rings_on(bench, burst, again)
         burst, found = _watched_longer(bench, law, burst, seen)
     return _at_limits(bench, law, (burst, found), seen)
+
+
+def _unheard(again: Seen, seen: Seen, known: list[float]) -> list[float]:
+    """Return where the longest record after a loud burst leaves a mode in doubt that no record before has heard."""
+    width_hz = WIDTHS * again.record.runs[0].rate_hz / _longest(seen)
+    heard = [*(mode.f_hz for mode in seen.modes), *known]
+    return [
+        mode.f_hz
+        for mode in again.modes
+        if not (mode.decays or seen.record.from_outside(mode.f_hz) or any(abs(mode.f_hz - f) < width_hz for f in heard))
+    ]
 
 
 def _longest(seen: Seen) -> int:
