@@ -256,7 +256,7 @@ def _asked(v: Verifier, gamma: float) -> DesignResult:
 
 
 def _result(v: Verifier, bracket: Bracket, ended: Closed) -> DesignResult:
-    found, scale = ended.found, v.problem.level
+    found, scale = v.finely(ended.found), v.problem.level
     settings = {"measurements": v.ny, "controls": v.nu, "bound": found.bound}
     provenance = Provenance("synthesize_hinf", settings, parents=(v.P.hash,), versions=versions())
     K = found.controller
@@ -268,7 +268,8 @@ def _result(v: Verifier, bracket: Bracket, ended: Closed) -> DesignResult:
     level = found.level
     details = {
         "bound": found.bound,
-        "optimum": (ended.out_of_reach / scale, ended.reached / scale),
+        # one may be the other but for rounding: a bound of responses alone that a controller reaches
+        "optimum": (min(ended.out_of_reach, ended.reached) / scale, ended.reached / scale),
         "below": bracket.reason,
         "certain": bracket.certain / scale,
         "probes": bracket.probes,
