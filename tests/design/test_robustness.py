@@ -90,9 +90,15 @@ def largest_over(plant, law, band_hz):
     return 20 * np.log10(np.linalg.norm(S @ U, 2, axis=(1, 2)).max()), 1 - (np.abs(U) ** 2).sum(axis=2)
 
 
+def in_millimetres(plant):
+    """Return the plant with sensors that share a unit: their readings are then compared as they are."""
+    sensors = [Channel(c.name, "mm") for c in plant.sensors]
+    return StateSpace(plant.A, plant.B, plant.C, plant.D, plant.rate_hz, plant.actuators, sensors)
+
+
 @pytest.mark.parametrize("design", [Lqg, MixedSensitivity, BandAttenuation])
 def test_a_verdict_says_what_becomes_of_the_worst_direction_and_what_is_out_of_reach(seed, design):
-    plant = ordinary(np.random.default_rng(seed), (4, 3), modes=4)
+    plant = in_millimetres(ordinary(np.random.default_rng(seed), (4, 3), modes=4))
     result = design().design(plant)
     band_hz = result.details["band_hz"]
     louder_db, _ = largest_over(plant, result.controller, band_hz)
@@ -106,6 +112,16 @@ def test_a_verdict_says_what_becomes_of_the_worst_direction_and_what_is_out_of_r
     out_of_reach = np.mean([largest_over(plant, result.controller, (f, f))[1][0] for f in lines], axis=0)
     assert f"most of it sensor {plant.sensors[int(np.argmax(out_of_reach))].name!r}" in result.status.sentence
     assert f"{said[0]}" in analyse_loop(plant, result.controller, band_hz).status.sentence
+
+
+def test_sensors_of_several_units_are_said_to_be_weighed(seed):
+    """In units of unknown size a reading that is a thousand times another says nothing of a direction."""
+    plant = in_millimetres(ordinary(np.random.default_rng(seed), (2, 3), modes=4))
+    own = Lqg().design(plant).status.sentence
+    assert "worst direction of S gets" in own
+    sensors = [Channel("gap", "mm"), Channel("force", "N")]
+    other = StateSpace(plant.A, plant.B, plant.C, plant.D, plant.rate_hz, plant.actuators, sensors)
+    assert "worst direction of S, each sensor weighed by its own scale, gets" in Lqg().design(other).status.sentence
 
 
 def test_actuators_that_reach_all_directions_leave_none_out(seed):

@@ -12,7 +12,7 @@ from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
 from ultraquiet.analyse.margins import even_sensitivity
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.robustness import DISK_MARGIN, UNSTABLE_LAW, WIDEST, both_ends, kept
-from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_of_scaled
+from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_in
 from ultraquiet.values.channel import ratio
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -113,7 +113,7 @@ def analyse_loop(
     G, K = scales.scaled(plant, controller)
     margins = both_ends(plant, controller)
     gang = gang_of_six(G, K)
-    worst = worst_of_scaled(G, K, band, plant.sensors)
+    worst = worst_in(scales, plant, controller, band)
     members = {"S": gang.So, "T": gang.To, "KS": gang.KSo}
     wide = gang.peaks()
     peaks = {

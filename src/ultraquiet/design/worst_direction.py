@@ -54,6 +54,7 @@ class WorstDirection:
         reached: how many directions of the sensors the actuators reach, on most lines of the band.
         sensors: how many directions there are.
         least_reached: the sensor that has most of the other directions; empty where there are none.
+        weighed: whether each sensor counts by its own scale, as sensors of several units do.
     """
 
     attenuation_db: float
@@ -62,6 +63,7 @@ class WorstDirection:
     reached: int
     sensors: int
     least_reached: str
+    weighed: bool = False
 
     @property
     def sentences(self) -> str:
@@ -76,7 +78,8 @@ class WorstDirection:
         if abs(self.attenuation_db) >= LITTLE_DB:
             size = f"{size}, at {self.f_hz:.4g} Hz"
         over = "Yet over" if self.attenuation_db <= -LITTLE_DB else "Over"
-        said = f"{over} {band} the worst direction of S gets {size}."
+        scales = ", each sensor weighed by its own scale," if self.weighed else ""
+        said = f"{over} {band} the worst direction of S{scales} gets {size}."
         return f"{said} {self._out_of_reach}" if self.least_reached else said
 
     @property
@@ -135,17 +138,16 @@ def worst_direction(
     """
     own = even_plant(plant, band_hz, WHO)
     band = own.band_hz if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
-    G, K = scales_of(plant, own.inputs, own.outputs).scaled(plant, controller)
-    return worst_of_scaled(G, K, band, plant.sensors)
+    return worst_in(scales_of(plant, own.inputs, own.outputs), plant, controller, band)
 
 
-def worst_of_scaled(
-    G: StateSpace, K: StateSpace, band_hz: tuple[float, float], sensors: tuple[Channel, ...]
-) -> WorstDirection:
-    """Return the same for plant and law in scales in which directions are compared, with the sensors by name."""
+def worst_in(scales: Scales, plant: StateSpace, law: StateSpace, band_hz: tuple[float, float]) -> WorstDirection:
+    """Return the same in scales in which directions are compared."""
+    G, K = scales.scaled(plant, law)
     attenuation_db, at_hz = band_attenuation(G, K, band_hz)
-    reached, least = _reach(G, band_hz, sensors)
-    return WorstDirection(attenuation_db, at_hz, band_hz, reached, len(sensors), least)
+    reached, least = _reach(G, band_hz, plant.sensors)
+    weighed = bool(np.ptp(scales.outputs) > 0)  # what becomes of readings hangs on their own units alone
+    return WorstDirection(attenuation_db, at_hz, band_hz, reached, len(plant.sensors), least, weighed)
 
 
 def design_band(settings: Any, details: Mapping[str, Any]) -> tuple[float, float] | None:
