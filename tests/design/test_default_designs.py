@@ -61,7 +61,8 @@ def upset_within_the_disk(rng, plant, law, alpha=0.2, draws=DRAWS):
         (Lqg, (3, 5)),
         (MixedSensitivity, (4, 3)),
         (BandAttenuation, (2, 3)),
-        (PeakBounded, (1, 1)),
+        # three of fifty such plants end short, by 0.1 to 3 dB; ok on nine of ten is promised
+        pytest.param(PeakBounded, (1, 1), marks=pytest.mark.draws(false_alarm=0.1)),
         pytest.param(PeakBounded, (3, 5), marks=pytest.mark.slow),
         (FixedStructure, (2, 2)),
         pytest.param(FixedStructure, (4, 3), marks=pytest.mark.slow),

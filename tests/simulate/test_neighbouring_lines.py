@@ -143,7 +143,10 @@ def test_lines_without_noise_and_at_the_ends_are_themselves(rng):
 @pytest.mark.parametrize("unit", [1.0, 1e-6])
 @pytest.mark.parametrize(("sensors", "actuators"), SHAPES)
 def test_the_peak_of_a_loop_is_not_what_noise_makes_of_many_lines(sensors, actuators, unit, rng):
-    """The largest of a thousand lines, each within half a decibel, reads half a decibel too much."""
+    """The largest of a thousand lines, each within half a decibel, reads half a decibel too much.
+
+    Lines that noise hides are counted at the bound that it leaves, which is above the truth.
+    """
     A, B, C = modal(rng, sensors, actuators)
     K = rng.standard_normal((actuators, sensors))
     K *= 0.5 * gain_for(A, B, C, K, 1.0)
@@ -156,7 +159,10 @@ def test_the_peak_of_a_loop_is_not_what_noise_makes_of_many_lines(sensors, actua
         f"{read.f_hz.size} lines, {read.hidden.sum()} hidden: peak {read.peak_amplification_db():.3f} dB, true "
         f"{true.max():.3f}; lines are apart from the truth by {np.sqrt(np.mean(apart**2)):.3f} dB RMS"
     )
-    assert read.peak_amplification_db() == pytest.approx(true.max(), abs=0.25)
+    assert read.peak_amplification_db() > true.max() - 0.25
+    assert -read.worst_direction_db()[~read.hidden].min() == pytest.approx(true[~read.hidden].max(), abs=0.4)
+    if not read.hidden.any():
+        assert read.peak_amplification_db() == pytest.approx(true.max(), abs=0.25)
 
 
 def true_size(A, B, C, K, f_hz):

@@ -58,7 +58,8 @@ def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart
         f"{unknown} not known"
     )
     assert false_ok == false_unstable == 0
-    assert at_limits > 0 or apart < 0  # saturation holds a stable loop there as well
+    # saturation holds a stable loop there as well, and of two loops there may be none
+    assert at_limits > 0 or apart < 0 or loops < 10
 
 
 def what_tones_leave(loop, rng):
