@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag, solve_discrete_are
+from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy.law.law import loop_coupling
+from ultraquiet.linalg.riccati_discrete import discrete_gain, discrete_riccati
 from ultraquiet.values.state_space import StateSpace
 
 # A state slower than the band of isolation (5 Hz and up) remembers a limit long after the disturbance has left it.
@@ -48,12 +49,12 @@ def _gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatAr
     floor = FLOOR * max(float(np.trace(D @ D.T)), float(np.trace(C @ B @ B.T @ C.T)), np.finfo(float).tiny) / nu
     R = D @ D.T + floor * np.eye(nu)
     try:
-        P = solve_discrete_are(A.T, C.T, B @ B.T, R, s=B @ D.T)
-    except (np.linalg.LinAlgError, ValueError) as error:
+        P = discrete_riccati(A.T, C.T, B @ B.T, R, B @ D.T).X
+    except (np.linalg.LinAlgError, NumericalError) as error:
         raise NumericalError(
             f"deploy: no anti-windup gain exists for this law ({error}); use anti_windup=False."
         ) from None
-    return np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + B @ D.T).T).T
+    return discrete_gain(A.T, C.T, R, B @ D.T, P).T
 
 
 @dataclass(frozen=True)
