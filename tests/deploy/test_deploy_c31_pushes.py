@@ -40,24 +40,29 @@ def test_every_command_meets_both_limits_and_every_correction_is_seen(rng, case)
     assert seen[law.L != 0].all()
 
 
-@pytest.mark.parametrize("case", LAWS)
-def test_most_commands_come_back_by_one_count_beyond_their_limit_and_one_within(rng, case):
-    """Of 60 drawn laws two hold a command beyond a limit whatever is measured, by corrections that others feed it."""
+RATES = {"one measurement": 5e-2, "two of each, far limits": 0.6, "six of each": 0.0}  # 3 of 91, 16 of 30, 0 of 30 laws
+DRAWN = [
+    pytest.param(case, marks=[pytest.mark.draws(false_alarm=rate)] if rate else []) for case, rate in RATES.items()
+]
+
+
+@pytest.mark.parametrize("case", DRAWN)
+def test_every_command_comes_back_most_of_them_by_one_count_beyond_its_limit_and_one_within(rng, case):
+    """Some drawn laws hold a command beyond a limit by corrections that others feed it; far limits are often passed."""
     law = LAWS[case](rng)
-    twin, met, back, made = twin_of(law), 0, 0, pushes(law)
+    twin, met, made = twin_of(law), 0, pushes(law)
     for push in made:
         rows, beyond = edges(twin, push), []
         twin.reset()
         for counts in [*push.counts, *rows]:
             twin.frame(counts)
             beyond.append(push.side * (twin.u[push.command] - twin.limits[push.command, (push.side + 1) // 2]))
-        back += beyond[-1] < 0
+        assert beyond[-1] < 0
         count = 2.5 * np.abs(law.D[push.command]).sum() * VOLTS_PER_COUNT
         near = [b for b in beyond[len(push.counts) :] if abs(b) <= count]
         met += bool(near) and min(near) < 0 < max(near)
-    print(f"{case}: {back} of {len(made)} limits left again, {met} met by a count on both sides")
-    assert back > 0.5 * len(made)
-    assert met >= 0.5 * len(made)
+    print(f"{case}: {met} of {len(made)} limits met by a count on both sides")
+    assert met >= 0.6 * len(made)
 
 
 def test_a_wrong_sign_of_any_correction_is_noticed(rng):

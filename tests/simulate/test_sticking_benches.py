@@ -42,8 +42,9 @@ def test_growth_that_is_slow_beside_the_dead_zone_is_seen_in_any_unit():
 @pytest.mark.gate("0.003-2", "-0.003-2")
 @pytest.mark.parametrize(("apart", "loops"), [(0.003, 2), (-0.003, 2), (0.01, 40), (0.003, 40), (-0.003, 40)])
 def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart, loops, rng):
-    false_ok = false_unstable = at_limits = unknown = 0
-    for _ in range(loops):
+    false_ok = false_unstable = at_limits = unknown = drawn = 0
+    while drawn < loops or (at_limits == 0 and apart > 0):  # of two loops there may be none that is thrown so far
+        drawn += 1
         loop = drawn_loop(rng, 1 + apart, noise=10.0 ** rng.integers(-5, -1))
         limit = loop.bench.actuators[0].high
         loop.bench.dead = rng.choice([0.01, 0.03, 0.05, 0.1]) * limit
@@ -54,12 +55,11 @@ def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart
         false_unstable += left < loop.bench.dead and apart < 0 and word == "unstable"
         unknown += word == "not known"
     print(
-        f"{loops} loops, {at_limits} thrown to their limits: {false_ok} false ok, {false_unstable} false unstable, "
+        f"{drawn} loops, {at_limits} thrown to their limits: {false_ok} false ok, {false_unstable} false unstable, "
         f"{unknown} not known"
     )
     assert false_ok == false_unstable == 0
-    # saturation holds a stable loop there as well, and of two loops there may be none
-    assert at_limits > 0 or apart < 0 or loops < 10
+    assert at_limits > 0 or apart < 0  # saturation holds a stable loop there as well
 
 
 def what_tones_leave(loop, rng):

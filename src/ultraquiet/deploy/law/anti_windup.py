@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy.law.law import loop_coupling
-from ultraquiet.linalg.riccati_discrete import discrete_gain, discrete_riccati
+from ultraquiet.linalg.equations import discrete_gain, discrete_riccati
 from ultraquiet.values.state_space import StateSpace
 
 # A state slower than the band of isolation (5 Hz and up) remembers a limit long after the disturbance has left it.

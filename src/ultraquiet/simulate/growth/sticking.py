@@ -42,9 +42,10 @@ def sticking(bench: Bench, law: StateSpace | Controller, bursts: Bursts, seen: S
     A loud burst may also raise a mode above the noise that was not heard before. Where it neither grows nor decays
     beyond doubt within the record, more records are asked: that all else has died says nothing of it.
     """
+    outside = {"hums_hz": seen.record.hums_hz, "outside_hz": seen.record.outside_hz}
     doubts: list[float] = []
     for burst in (bursts.white, bursts.coloured, *_tones(bench, bursts.white, seen)):
-        known = replace(burst, hums_hz=seen.record.hums_hz, outside_hz=seen.record.outside_hz)
+        known = replace(burst, **outside)
         try:
             begun = tones_alone(bench, law, known, known.modes_hz) if known.modes_hz else known
             grown = _grown(bench, law, louder(bench, law, begun), seen, doubts)
@@ -56,8 +57,9 @@ def sticking(bench: Bench, law: StateSpace | Controller, bursts: Bursts, seen: S
             return grown
     if not doubts:
         return None
-    begun = replace(bursts.coloured, hums_hz=seen.record.hums_hz, outside_hz=seen.record.outside_hz)
-    again = repeated(bench, law, begun, replace(seen, word=None, doubtful_hz=tuple(doubts)))
+    again = repeated(
+        bench, law, replace(bursts.coloured, **outside), replace(seen, word=None, doubtful_hz=tuple(doubts))
+    )
     return None if again.word is StatusWord.OK else again
 
 
