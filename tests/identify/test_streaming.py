@@ -13,6 +13,7 @@ from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.long_record_statistics import survey
 from ultraquiet.identify.prediction_error import long_record
 from ultraquiet.identify.prediction_error.in_memory import InMemory
+from ultraquiet.identify.prediction_error.model_table import table_of
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import free_rows
@@ -74,6 +75,23 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     print(f"\n{name}: loss differs by {abs(S[-1, -1] / y.size / loss - 1):.1e}, products by {miss.max():.1e}")
     assert S[-1, -1] / y.size == pytest.approx(loss, rel=1e-9)
     assert miss.max() < 1e-5
+
+
+def test_a_search_begins_with_the_gradient_of_its_loss(rng, tmp_path):
+    """The loss is that with the best past; taken beside no past the gradient promised what no step gained."""
+    plant = uq.StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
+    y = plant.simulate(u := rng.standard_normal((1, 3000)))
+    y += 2 * y.std() * rng.standard_normal(y.shape)
+    record = stored(tmp_path, uq.Record(u, y, 100.0))
+    data, structure = long_record.Stream(record, 0, survey(record)), uq.identify.OutputError(order=1).structure()
+    near = uq.PolynomialModel([[0, 0.1]], [[1, -0.88]], 100.0)
+    table = table_of(Parameterisation.alike(structure, 1), near, data.gain)
+    signals = long_record.signals_through(structure, 1, (True, True))
+    point = long_record.LongRecordPoint.of(data, signals, "test", table)
+    steps = 1e-4 * np.eye(len(point.normal()) - 1)
+    slopes = [(point.gained(point.moved(h)) - point.gained(point.moved(-h))) / 2e-4 for h in steps]
+    print(f"\nslopes {slopes}, promised {(-2 * point.normal()[:-1, -1]).tolist()}")
+    assert np.allclose(slopes, -2 * point.normal()[:-1, -1], rtol=1e-4)
 
 
 @pytest.mark.gate("arx", "output-error", "armax")

@@ -179,9 +179,14 @@ class LongRecordPoint:
 
     @classmethod
     def of(
-        cls, data: Stream, signals: FilteredSignals, title: str, table: FloatArray, x: FloatArray
+        cls, data: Stream, signals: FilteredSignals, title: str, table: FloatArray, x: FloatArray | None = None
     ) -> "LongRecordPoint":
-        """Return the point of a table and a past, from one pass."""
+        """Return the point of a table and a past, from one pass; given none, with the best, from two.
+
+        The gradient beside another past than the best is not that of the loss: by it no step need gain anything.
+        """
+        if x is None:
+            x = cls.of(data, signals, title, table, np.zeros(signals.unknown_past)).past()
         from ultraquiet.identify.prediction_error.kernels.normal_equations import reduced
 
         G = data.products(table, x, signals, title)
@@ -267,9 +272,7 @@ def _fit_output(
     for piece in pieces:
         tried += 1
         start = method.fit(ChannelData.of(piece, output), record.rate_hz).model
-        begin = LongRecordPoint.of(
-            data, signals, title, table_of(parameterisation, start, data.gain), np.zeros(signals.unknown_past)
-        )
+        begin = LongRecordPoint.of(data, signals, title, table_of(parameterisation, start, data.gain))
         minimum = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
         if best is None or minimum.point.criterion < best.point.criterion:
             best = minimum
