@@ -5,7 +5,7 @@ from math import inf
 
 from ultraquiet import analyse
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.shown.line import loudness
+from ultraquiet._base.shown.line import loudness, on_its_side
 from ultraquiet.analyse.disk import ENDS
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.mission import NoPayload, PayloadLoop
@@ -200,7 +200,9 @@ def _one(
     met = figure is not None and (figure >= asked if more else figure <= asked)
     what = SAYS[name].format(low=band_hz[0], high=band_hz[1], where=where)
     at = "" if name == "disk_margin" else f" on {where}"
-    found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}{source}"
+    found = f"not measured ({status})"
+    if figure is not None:
+        found = f"{f'{figure:.4g}' if met else on_its_side(figure, asked, 4, 'g')}{unit}{source}"
     if figure is not None and more and unit and figure < 0:
         found = f"none, {loudness(figure)}{source}"
     bound = "at least" if more else "at most"

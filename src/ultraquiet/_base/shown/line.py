@@ -13,6 +13,7 @@ LONGEST = 160  # characters; a line of a terminal and a half
 WORDS = 48  # characters of one text within it
 LEAST_CHANCE = 1e-12  # a p-value below it has no digit that says anything
 AT_REST_HZ = 1e-9  # no bench swings as slowly
+MOST_DIGITS = 17  # of a double
 MOST_ENTRIES = 8  # of a sequence or an array
 
 
@@ -79,6 +80,20 @@ def rounded(value: float, digits: int = 1) -> str:
     ('0.0', '2.35')
     """
     return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def on_its_side(value: float, bound: float, least: int, form: str = "f") -> str:
+    """Write a figure that misses a bound with `least` digits of a format, and more where these would say it is kept.
+
+    >>> on_its_side(19.9962, 20.0, 1), on_its_side(17.31, 20.0, 1), on_its_side(5.00004, 5.0, 4, "g")
+    ('19.996', '17.3', '5.00004')
+    """
+    sides = value > bound, value < bound
+    for digits in range(least, MOST_DIGITS):
+        said = f"{value:.{digits}{form}}"
+        if (float(said) > bound, float(said) < bound) == sides:
+            return said
+    return f"{value:.{MOST_DIGITS}g}"
 
 
 def hertz(f_hz: float) -> str:

@@ -5,7 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ultraquiet._base.shown.line import counted, loudness, opening
+from ultraquiet._base.shown.line import counted, loudness, on_its_side, opening
 from ultraquiet.pipeline.facts.code import CodeFacts, WholeNumberFacts
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
@@ -116,7 +116,8 @@ def _reached(judged: Sequence[RequirementFacts], units: Sequence[str]) -> list[o
 def _figure(each: RequirementFacts) -> str:
     if each.figure is None or not np.isfinite(each.figure):
         return "not measured"
-    return f"{each.figure:.1f}" if each.requirement.endswith("_db") else f"{each.figure:.2f}"
+    decimals = 1 if each.requirement.endswith("_db") else 2
+    return f"{each.figure:.{decimals}f}" if each.met else on_its_side(each.figure, each.asked, decimals)
 
 
 def hero(result: StudyResult) -> list[Picture]:
