@@ -29,8 +29,10 @@ def relative(one, other):
 def test_response_is_the_law_s(law_of, form, states):
     law = law_of(states)
     error = relative(response_of(realisation(law, form)), law.frequency_response(F_HZ))
-    print(f"{form} {states}: {error:.1e}")
-    assert error < 1e-9
+    # a resonance multiplies what rounding leaves of a pole by its height
+    lost = states * np.finfo(float).eps / (1 - np.abs(law.poles()).max(initial=0.0))
+    print(f"{form} {states}: {error:.1e}, {lost:.1e} by rounding")
+    assert error < max(1e-9, lost)
 
 
 def test_modal_blocks_are_rotations_of_equal_gain(law_of):

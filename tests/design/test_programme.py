@@ -24,5 +24,5 @@ def test_both_forms_find_the_same_step(unknowns, bounds, scale, seed):
     print(f"costs {cost[0]:.9g}, {cost[1]:.9g}; bounds exceeded by {over[0]:.1g}, {over[1]:.1g}")
     assert cost[1] == pytest.approx(cost[0], abs=1e-5 * (1 + abs(cost[0])))
     assert np.allclose(one[:unknowns], other[:unknowns], atol=1e-3 * (1 + np.abs(one[:unknowns]).max()))
-    assert max(over) < 1e-5
+    assert max(over) < 1e-7 * (1 + np.abs(one).max())  # in the programme's own size, as its solver holds them
     assert np.array_equal(shortest(A, b, price), other if len(A) < unknowns else one)

@@ -102,7 +102,9 @@ def test_the_whole_loop_keeps_below_its_peak(seed, method):
     print(f"without a bank {own:.2f} dB, with one {peaks[0]:.2f} dB, held {peaks[1]:.2f} dB; {held.details['slowed']}")
     assert peaks[1] <= own + 0.05 + 1e-6
     assert peaks[1] <= peaks[0]
-    assert (peaks[1] < peaks[0]) == (peaks[0] > own + 0.05 + 1e-6)  # held where it would pass, else left as it is
+    passes = peaks[0] > own + 0.05 + 1e-6
+    # held where it would pass, else left as it is; the adaptive one is held at the stations of its span as well
+    assert peaks[1] < peaks[0] if passes else method is AdaptiveFeedforward or peaks[1] == peaks[0]
     below = method(loop_peak_db=own - 0.1, **how).design(plant)
     assert below.controller is None
     assert "already; 'loop_peak_db' must be above that" in str(below.status)

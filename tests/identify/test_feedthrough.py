@@ -34,10 +34,14 @@ def test_a_direct_part_that_is_not_there_is_not_estimated(shape, noise, rng):
 @pytest.mark.parametrize(("noise", "order"), [(0.0, 4), (0.05, 4), (0.05, None)])
 def test_one_that_is_there_is_found(noise, order, rng):
     plant, record = recorded(rng, 1.0, noise)
-    found = uq.identify.Subspace(order=order).identify(record)
-    error = np.abs(found.model.D - plant.D).max() / np.abs(plant.D).max()
-    print(f"D to {error:.1e}")
-    assert error < (1e-6 if noise == 0 else 0.3)
+    errors = []
+    for refine in (False, True):
+        found = uq.identify.Subspace(order=order, refine=refine).identify(record)
+        errors.append(np.abs(found.model.D - plant.D).max() / np.abs(plant.D).max())
+    print(f"D to {errors[0]:.1e}, refined to {errors[1]:.1e}")
+    # a subspace is read from sums of squares, which hold half of the digits: 1.8e-6 at most of 14 drawn plants
+    assert errors[0] < (1e-5 if noise == 0 else 0.3)
+    assert errors[1] < (1e-12 if noise == 0 else 0.3)
     assert not np.any(uq.identify.Subspace(order=order, feedthrough=False).identify(record).model.D)
 
 
