@@ -1,5 +1,7 @@
 """Norms at the edges: no states, no inputs in effect, integrators, needles, two hundred states; SLICOT's H2 norm."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, solve_discrete_lyapunov
@@ -10,6 +12,7 @@ from ultraquiet.linalg import discretize, norms
 from ultraquiet.values import StateSpace
 
 TINY = 1e-8
+PARALLEL = Path(__file__).parents[1] / "data" / "problems" / "parallel_modes.npz"
 
 
 def modes(rng, count, zeta, channels=2):
@@ -79,6 +82,17 @@ def test_states_without_effect(rng, rate_hz):
         assert hinf_norm(StateSpace(A, B, C, [[0.0]], rate_hz))[0] == 0
         assert h2_norm(StateSpace(A, B, C, [[0.0]], rate_hz)) == 0
         assert hinf_norm(StateSpace(A, B, C, [[2.0]], rate_hz))[0] == 2
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_peak_between_modes_that_are_nearly_parallel_is_met(unit):
+    """In modal coordinates terms of 1e3 cancel to one: the crossings read there alone left the peak of 2.18 at 1.99."""
+    with np.load(PARALLEL) as held:
+        G = StateSpace(held["A"], held["B"] * unit, held["C"] / unit, held["D"], 1000.0)
+    peak, f_hz = hinf_norm(G)
+    print(f"{peak:.9f} at {f_hz:.4f} Hz")
+    assert peak == pytest.approx(on_a_grid(G, np.linspace(36.2, 36.3, 2001)), rel=1e-7)
+    assert peak >= on_a_grid(G, np.linspace(0, 500, 2001)) * (1 - 1e-7)
 
 
 def test_needles_of_damping_1e_8(rng):

@@ -16,6 +16,9 @@ ROUNDS = 30
 # An eigenvalue counts as imaginary when its real part is below this share of its modulus: generous, because each
 # candidate is then judged by the gain it stands for and not by its place.
 AXIS_SHARE = 1e-4
+# Nearly parallel modes cancel: a modal form whose B and C are so many times larger than those of even coordinates does
+# not say alone where a level is crossed.
+CANCELLING = 10.0
 # First guesses closer than 2 % are one, but for resonances sharper than that.
 DISTINCT = 0.02
 SHARP = 0.05
@@ -266,8 +269,9 @@ def _mapped_peak(A: Array, B: Array, C: Array, D: Array, poles: Array, tolerance
     form = modal(A, B, C)
     # z -> -z keeps every gain and turns the spectrum round: no pole is then near the point that goes to infinity
     turned = poles.size and np.abs(poles + 1).min() < np.abs(poles - 1).min()
-    a, b = (-form.A, -form.B) if turned else (form.A, form.B)
-    gain, w = _peak(*bilinear_to_continuous(a, b, form.C, D), tolerance)
+    turn = -1.0 if turned else 1.0
+    given = bilinear_to_continuous(turn * A, turn * B, C, D)
+    gain, w = _peak(*bilinear_to_continuous(turn * form.A, turn * form.B, form.C, D), tolerance, given[:3])
     angle = float(2 * np.arctan(w))
     return gain, np.pi - angle if turned else angle
 
@@ -307,20 +311,26 @@ def axis_mean_square(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
     return float(np.hypot(kept, mean_square_gain(a, b, c, np.zeros(D.shape), discrete)))
 
 
-def _peak(A: Array, B: Array, C: Array, D: Array, tolerance: float) -> tuple[float, float]:
+def _peak(
+    A: Array, B: Array, C: Array, D: Array, tolerance: float, given: tuple[Array, Array, Array] | None = None
+) -> tuple[float, float]:
+    """Return the peak of a continuous system; `given` is the same one in coordinates that are not modal."""
     direct = float(np.linalg.norm(D, 2)) if D.size else 0.0
     if A.shape[0] == 0 or not np.any(B) or not np.any(C):
         return direct, 0.0
-    form = modal(A, B, C)
-    A, B, C = form.A, form.B, form.C
+    form, even = modal(A, B, C), even_states(*(given or (A, B, C)))[:3]
+    forms = [(form.A, form.B, form.C)]
+    modal_size, even_size = (np.linalg.norm(b) * np.linalg.norm(c) for _, b, c in (*forms, even))
+    if modal_size > CANCELLING * even_size:
+        forms.append(even)
     gain = _Gain(split(form, D))
-    best, at = gain.climb(_guesses(np.linalg.eigvals(A)), direct, np.inf)
+    best, at = gain.climb(_guesses(np.linalg.eigvals(form.A)), direct, np.inf)
     if best == 0:
         return 0.0, 0.0
     for _ in range(ROUNDS):
         best, at = gain.polish(best, at)
         level = best * (1 + 2 * tolerance)
-        crossings = _crossings(A, B, C, D, level)
+        crossings = np.unique(np.concatenate([_crossings(*each, D, level) for each in forms]))
         middle = np.sqrt(crossings[:-1] * crossings[1:])
         higher, where = gain.climb(np.concatenate([crossings, middle]), best, at)
         if higher <= level:
