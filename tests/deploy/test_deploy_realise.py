@@ -24,15 +24,17 @@ def relative(one, other):
     return float(np.abs(one - other).max() / np.abs(other).max())
 
 
+# A pole within 5e-6 of the circle multiplies what rounding leaves of it: 1 of 11 draws is off by 1.4e-9, in every form.
+MANY = pytest.param(198, marks=pytest.mark.draws(false_alarm=0.1))
+
+
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("states", [0, 1, 2, 25, 60, 198])
+@pytest.mark.parametrize("states", [0, 1, 2, 25, 60, MANY])
 def test_response_is_the_law_s(law_of, form, states):
     law = law_of(states)
     error = relative(response_of(realisation(law, form)), law.frequency_response(F_HZ))
-    # a resonance multiplies what rounding leaves of a pole by its height
-    lost = states * np.finfo(float).eps / (1 - np.abs(law.poles()).max(initial=0.0))
-    print(f"{form} {states}: {error:.1e}, {lost:.1e} by rounding")
-    assert error < max(1e-9, lost)
+    print(f"{form} {states}: {error:.1e}")
+    assert error < 1e-9
 
 
 def test_modal_blocks_are_rotations_of_equal_gain(law_of):

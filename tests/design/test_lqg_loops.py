@@ -85,6 +85,7 @@ def test_covariances_in_full_are_scalars_when_they_are(rng):
     assert abs(full.gamma / full.achieved - 1) < 1e-6
 
 
+@pytest.mark.draws(false_alarm=0.1)  # 1 of 11 plants has a direction that neither law reaches, 0 dB with both
 def test_a_coloured_disturbance_is_met_at_its_colour(rng):
     """A disturbance round 30 Hz: the controller made for it leaves less of it than the one made for white noise."""
     plant = bench_like(rng, 6)
@@ -97,9 +98,11 @@ def test_a_coloured_disturbance_is_met_at_its_colour(rng):
     print(f"coloured disturbance: {left[0]:.4f} with its model, {left[1]:.4f} with a white one")
     assert abs(for_it.gamma / left[0] - 1) < 1e-6
     assert left[0] < left[1]
-    f_hz = np.linspace(26, 35, 20)  # in all directions together; the worst one need not be within the actuators' reach
+    f_hz = np.linspace(26, 35, 20)
     low, high = (np.linalg.norm(lft(P, r.controller).frequency_response(f_hz)) for r in (for_it, for_white))
     print(f"over 26-35 Hz {low:.3g} and {high:.3g}")
+    assert low < high
+    low, high = (sensitivity_db(plant, r.controller, np.linspace(26, 35, 20)).max() for r in (for_it, for_white))
     assert low < high
 
 

