@@ -15,11 +15,11 @@ from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.data import told_by_lines
 from ultraquiet.identify.response.even_units import EvenUnits
 from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
+from ultraquiet.identify.response.follows_inputs import MISSED, unless_followed
 from ultraquiet.identify.response.resolution import blurred
-from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
+from ultraquiet.identify.result import Result, worst
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
-from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
-from ultraquiet.linalg import pole_residue, portmanteau, vector_fitting
+from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.modes import rank_one
 from ultraquiet.linalg.prediction import fit_percent
@@ -138,10 +138,13 @@ class Rational(SearchedOrder):
         simulated = simulated + unknown_past(fitted.model.A, fitted.model.C, record.outputs - simulated)
         residual = record.outputs - simulated
         fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
-        span = portmanteau.slowest_period(fitted.model.poles())
         blur = blurred(fitted.model, response)
         status = fitted.status if blur is None else blur
-        statuses = [_simulated(status, p, e, record.inputs, span) for p, e in zip(fits, residual, strict=True)]
+        limit = max(MISSED, self.floor, fitted.error[1])
+        statuses = [
+            unless_followed(_simulated(status, fit), e, y, record.inputs, record.rate_hz, limit)
+            for fit, e, y in zip(fits, residual, record.outputs, strict=True)
+        ]
         ny, numbers = len(record.sensors), chance.numbers_of(fitted.model.states, len(record.actuators))
         statuses = [
             chance.unless_silent(status, chance.explained(y, e), y.size, numbers)
@@ -303,19 +306,14 @@ def _verdict(error: float) -> Status:
     return Status(StatusWord.OK, f"Held-out lines are met within {100 * error:.2g} % of the response (RMS).")
 
 
-def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray, span: int) -> Status:
-    """Return the verdict on one output: a large simulated error that follows the inputs is no noise.
-
-    An error larger than the output needs no test: slow ones are too coloured for it.
-    """
-    if not status.ok or fit >= 100.0 * (1.0 - POOR):
-        return status
-    if fit > 0.0 and free_of_inputs(e, u, RESIDUAL_LAGS, span) >= SIGNIFICANCE:
+def _simulated(status: Status, fit: float) -> Status:
+    """Return the verdict on one output: an error larger than the output needs no test."""
+    if not status.ok or fit > 0.0:
         return status
     return Status(
         StatusWord.POOR_FIT,
-        f"The simulated output fits by {fit:.0f} %, and what it misses is not noise alone: the response was blurred by "
-        f"leakage, or the order is too low; fit a periodic response, or take 'subspace'.",
+        f"The simulated output fits by {fit:.0f} %, no better than its mean: the response was blurred by leakage, or "
+        f"the order is too low; fit a periodic response, or take 'subspace'.",
     )
 
 
