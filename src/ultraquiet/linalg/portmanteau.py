@@ -11,6 +11,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 EXCITED_SHARE = 1e-8
 BLOCKS_PER_LAG = 10  # block means a test needs for each of its lags
 NEAR_ONE = 1e-9  # a pole no further from the circle, or from one, is on it
+# A noise model rings where it has a mode of less damping that adds so much to the variance of its innovations.
+RINGING_DAMPING, RINGING_SHARE = 0.2, 0.05
 
 
 class Evidence(NamedTuple):
@@ -76,6 +78,27 @@ def free_of_inputs(e: FloatArray, inputs: FloatArray, lags: int, residual_lags: 
         slow, memory = _block_means(e, block), min(residual_lags, e.size // block // 10)
         values += [cross_correlation(slow, _block_means(u, block), lags, memory).p_value for u in inputs]
     return sidak(values)
+
+
+def noise_modes(c: FloatArray, d: FloatArray) -> ComplexArray:
+    """Return the poles above the real axis at which noise (c / d) e rings, the loudest first.
+
+    Each of c / d = 1 + sum_k r_k / (z - p_k) adds 2 |r_k|^2 / (1 - |p_k|^2) times the variance of e.
+
+    >>> noise_modes(np.array([1.0]), np.array([1.0, -1.8, 0.9801])).round(4)
+    array([0.9+0.4124j])
+    """
+    n = max(c.size, d.size)
+    poles = np.roots(np.pad(d, (0, n - d.size))).astype(np.complex128)
+    poles = np.concatenate([poles, np.zeros(n - 1 - poles.size)])
+    found: list[tuple[float, complex]] = []
+    for k in np.flatnonzero((poles.imag > 0) & (np.abs(poles) < 1.0)):
+        p = poles[k]
+        residue = np.polyval(np.pad(c, (0, n - c.size)), p) / np.prod(p - np.delete(poles, k))
+        share = 2 * abs(residue) ** 2 / (1.0 - abs(p) ** 2)
+        if share > RINGING_SHARE and -np.log(abs(p)) < RINGING_DAMPING * abs(np.log(p)):
+            found.append((float(share), complex(p)))
+    return np.array([p for _, p in sorted(found, key=lambda each: -each[0])], dtype=np.complex128)
 
 
 def slowest_period(poles: ComplexArray) -> int:

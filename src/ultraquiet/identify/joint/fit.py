@@ -12,23 +12,12 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet.identify import chance
 from ultraquiet.identify.joint.initial_models import starts
 from ultraquiet.identify.joint.search import JointMinimum, Part, Problem, covariance_root, posed, search
-from ultraquiet.identify.prediction_error.fit import (
-    CONVERGED,
-    PROMISING,
-    REPAIRS,
-    SETTLED,
-    TEST_LAGS,
-    TOLERANCE,
-    TRIAL_STEPS,
-    Fit,
-    Search,
-    judged,
-    simulated,
-    verdict,
-)
+from ultraquiet.identify.prediction_error.fit import REPAIRS, SETTLED, Fit, judged, simulated, verdict
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
+from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED
 from ultraquiet.identify.prediction_error.model_table import modelled
 from ultraquiet.identify.prediction_error.parameterisation import delta
+from ultraquiet.identify.prediction_error.race import PROMISING, TEST_LAGS, TOLERANCE, TRIAL_STEPS, Search
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST
 from ultraquiet.identify.result import SIGNIFICANCE, noiseless
 from ultraquiet.linalg import portmanteau, prediction

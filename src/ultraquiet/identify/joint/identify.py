@@ -12,10 +12,11 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.identify.joint.fit import fit_parts
 from ultraquiet.identify.joint.search import Part
 from ultraquiet.identify.joint.ties import Ties, same
-from ultraquiet.identify.prediction_error.fit import Fit, Search
+from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
+from ultraquiet.identify.prediction_error.race import Search
 from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns, excited, gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result

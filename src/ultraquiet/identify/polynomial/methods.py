@@ -10,14 +10,13 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.joint.identify import fit_alone, identify_joint
-from ultraquiet.identify.prediction_error.fit import Fit, fit_channel
+from ultraquiet.identify.prediction_error.fit import FOCUSES, Fit, fit_channel, fit_focused
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
 from ultraquiet.identify.prediction_error.long_record import identify_long
 from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import each
 from ultraquiet.identify.prediction_error.result import gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
-from ultraquiet.identify.prediction_error.simulation_focus import FOCUSES, fit_focused
 from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.identify.result import Result
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace

@@ -1,72 +1,43 @@
-"""One output of one structure: starts, search, verdict."""
+"""One output of one structure: its model, its evidence and the verdict on it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify import chance
-from ultraquiet.identify.prediction_error import in_memory
 from ultraquiet.identify.prediction_error.in_memory import InMemory
-from ultraquiet.identify.prediction_error.initial_models import ChannelData, start_table, starting_tables
-from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, RUNNING, STUCK
+from ultraquiet.identify.prediction_error.initial_models import ChannelData, noise_start, start_table
+from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, STUCK
 from ultraquiet.identify.prediction_error.model_table import modelled
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
-from ultraquiet.identify.prediction_error.signals import signals_of
-from ultraquiet.identify.prediction_error.structure import (
-    ROW_A,
-    ROW_C,
-    ROW_D,
-    Structure,
-    b_rows,
-    f_rows,
-    free_rows,
+from ultraquiet.identify.prediction_error.race import (
+    Found,
+    Search,
+    best_of_starts,
+    fed_back,
+    residual_tests,
+    run_search,
 )
+from ultraquiet.identify.prediction_error.signals import signals_of
+from ultraquiet.identify.prediction_error.structure import ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
+from ultraquiet.identify.response.follows_inputs import MISSED, unless_followed
 from ultraquiet.identify.result import SIGNIFICANCE, noiseless
-from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg import prediction
 from ultraquiet.linalg.balance import square_root
 from ultraquiet.values import PolynomialModel, Status, StatusWord
 
-# The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
-# then stands within 3 % of its own standard deviation of the minimum.
-TOLERANCE = 1e-3
-TEST_LAGS = 40  # at 3.5 kHz 11 ms, over which a wrong 12 Hz pole leaves a visible residual correlation
-# The race of the starts: each runs so many steps in all, then so many of them go on, if within this ratio of the best
-# loss. On 126 searches of records of the bench it ended within 1 % of the best of all starts in 122.
-TRIAL_STEPS = 10
-PROMISING = 1.1
-FIRST_STEPS = 2 * TRIAL_STEPS
-RACE = ((TRIAL_STEPS, 3, 1.2), (2 * TRIAL_STEPS, 2, PROMISING))
 # Rounds of replacing clipped readings by the model's output, and the share of the record's size below which a round no
 # longer matters. A tenth of a record at its limits pulls a gain down by 1 dB and is mended in four rounds; with half of
 # it there, 40 rounds bring 11 dB down to 3: lower the excitation instead.
 REPAIRS = 40
 SETTLED = 1e-3
-
-
-@dataclass(frozen=True)
-class Search:
-    """How the search is run; see `PolynomialMethod`."""
-
-    horizons: tuple[int, ...]
-    estimate: bool
-    offset: bool
-    max_iterations: int
-    repair: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Where a search ended: see `levenberg_marquardt.Ended`."""
-
-    table: FloatArray
-    loss: float
-    residual: FloatArray
-    normal: FloatArray
-    iterations: int
-    state: int
+FOCUSES = ("auto", "prediction", "simulation")
+# Points of simulated fit that the other focus must bring: the record's own scatter moves it by less.
+WORTH = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +57,46 @@ class Fit:
     silent: bool = False  # its inputs explain no more of the output than chance would
 
 
+def fit_focused(data: ChannelData, structure: Structure, search: Search, rate_hz: float, focus: str) -> Fit:
+    """Return the model of one output for the wanted focus.
+
+    Where a structure holds the truth, both criteria meet in the same plant, and the one-step error finds it with the
+    least variance. Where it does not, the one-step error weighs frequencies by the inverse of the noise model: under
+    noise of low frequency the plant is fitted to the highest ones. "auto" notices by a residual that is not white.
+    """
+    if focus == "simulation":
+        return fit_simulated(data, structure, search, rate_hz)
+    predicted = fit_channel(data, structure, search, rate_hz)
+    if focus == "prediction" or min(predicted.whiteness_p, predicted.correlation_p) >= SIGNIFICANCE:
+        return predicted
+    other = fit_simulated(data, structure, search, rate_hz)
+    return other if other.fit_percent > predicted.fit_percent + WORTH else predicted
+
+
+def fit_simulated(data: ChannelData, structure: Structure, search: Search, rate_hz: float) -> Fit:
+    """Return B / F by the simulated error, then C / D by the one-step error with B / F held.
+
+    The covariance of B and F is that of the output error, coloured as it is; that of C and D stands beside it, for
+    without feedback the two err independently.
+    """
+    output_error = replace(structure, c=0, d=0)
+    plant = fit_channel(data, output_error, search, rate_hz)
+    if search.repair and data.clipped:
+        data = data.repaired(simulated(data, plant.model, search))
+    at_plant = run_search(data, output_error, search, start_table(data, output_error, plant.model), 0)
+    table = Parameterisation.alike(structure, data.u.shape[0]).empty()
+    table[:, : at_plant.table.shape[1]] = at_plant.table[:, : table.shape[1]]
+    c, d = noise_start(at_plant.residual, structure.c, structure.d)
+    table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
+    minimum = run_search(data, structure, search, table, search.max_iterations, noise_only=True)
+    model = model_of(minimum, structure, data, rate_hz)
+    whole = np.eye(structure.parameters(data.u.shape[0]) + 1)
+    ended = replace(minimum, normal=whole, iterations=minimum.iterations + plant.iterations)
+    fit = finished(data, structure, search, model, ended, plant.starts)
+    noise_alone = covariance(minimum.normal, minimum.loss, replace(structure, a=0, b=0, f=0), np.zeros(0))
+    return replace(fit, covariance=np.asarray(block_diag(plant.covariance, noise_alone)))
+
+
 def fit_channel(data: ChannelData, structure: Structure, search: Search, rate_hz: float) -> Fit:
     """Return the model of one output, clipped readings repaired by the model itself until it no longer moves."""
     best, tried = best_of_starts(data, structure, search)
@@ -97,7 +108,8 @@ def fit_channel(data: ChannelData, structure: Structure, search: Search, rate_hz
         if moved < SETTLED:
             break
         again = run_search(data, structure, search, best.table, search.max_iterations)
-        best = replace(again, iterations=best.iterations + again.iterations)
+        iterations = best.iterations + again.iterations
+        best = replace(again, iterations=iterations, plant_whole_p=best.plant_whole_p)
         model = model_of(best, structure, data, rate_hz)
     return finished(data, structure, search, model, best, tried)
 
@@ -106,7 +118,7 @@ def finished(
     data: ChannelData, structure: Structure, search: Search, model: PolynomialModel, best: "Found", tried: int
 ) -> Fit:
     """Return a model with its evidence: residual tests, fit, covariance."""
-    evidence = residual_tests(best.residual, data.u, structure)
+    evidence = residual_tests(best, data.u, structure)
     output = np.clip(simulated(data, model, search), data.low, data.high)
     fit_percent = prediction.fit_percent(data.recorded, output)
     nu = data.u.shape[0]
@@ -120,6 +132,8 @@ def finished(
         data.recorded.size,
         free,
     )
+    if structure.models_noise and not fed_back(best.residual, data.u):
+        status = unless_followed(status, data.recorded - output, data.recorded, data.u, model.rate_hz, MISSED)
     colored = colored_products(data, structure, search, best) if is_colored(structure, evidence[0]) else None
     return Fit(
         model,
@@ -153,107 +167,6 @@ def judged(
     told = explains()
     silent = chance.by_chance(told, samples, parameters)
     return (chance.silence(told) if silent else status), silent
-
-
-def best_of_starts(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int]":
-    """Search from a given model, or race all starts; the result is kept for fits that need it again.
-
-    Where the same channel has been fitted one order lower with less loss, the race has missed the minimum, and the
-    search begins from that smaller model.
-    """
-    key = (structure, search)
-    if key not in data.searched:
-        minimum, tried = _from_model(data, structure, search) or _raced(data, structure, search)
-        smaller = data.searched.get((structure.smaller(), search))
-        if smaller is not None and smaller[0].loss < minimum.loss:
-            table = Parameterisation.alike(structure, data.u.shape[0]).empty()
-            table[:, : smaller[0].table.shape[1]] = smaller[0].table
-            minimum, tried = run_search(data, structure, search, table, search.max_iterations), tried + 1
-        data.searched[key] = minimum, tried
-    return data.searched[key]
-
-
-def _from_model(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int] | None":
-    """Search from the channel's given model; None when there is none or the search does not converge."""
-    if data.start is None:
-        return None
-    minimum = run_search(data, structure, search, start_table(data, structure, data.start), search.max_iterations)
-    return (minimum, 1) if minimum.state == CONVERGED else None
-
-
-def _raced(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int]":
-    """Let all starts run some steps, the better of them more; the lowest loss wins.
-
-    A residual that passes the tests ends the race: no other minimum can be better by more than chance.
-    """
-    tables = starting_tables(data, structure, search.horizons)
-    (steps, _, _), *later = RACE
-    runners: list[Found] = []
-    for table in tables:
-        # The most trusted one may show at once that the race is not needed.
-        ahead = steps if runners else FIRST_STEPS
-        minimum = run_search(data, structure, search, table, min(ahead, search.max_iterations))
-        runners.append(minimum)
-        if _passes(minimum, data, structure):
-            minimum = runners[-1] = _further(minimum, data, structure, search, search.max_iterations)
-            if minimum.state == CONVERGED and _passes(minimum, data, structure):
-                return minimum, len(runners)
-    tried = len(runners)
-    for (_, kept, ratio), (steps, _, _) in zip(RACE, [*later, (search.max_iterations, 0, 0.0)], strict=True):
-        runners = sorted(runners, key=lambda r: r.loss)[:kept]
-        runners = [r for r in runners if r.loss <= ratio * runners[0].loss]
-        runners = [_further(r, data, structure, search, steps) for r in runners]
-    return min(runners, key=lambda r: r.loss), tried
-
-
-def _passes(found: "Found", data: ChannelData, structure: Structure) -> bool:
-    e = found.residual
-    return whiteness(e, structure) >= SIGNIFICANCE and freedom(e, data.u) >= SIGNIFICANCE
-
-
-def _further(found: "Found", data: ChannelData, structure: Structure, search: Search, steps: int) -> "Found":
-    """Return the search continued until `steps` of its steps are used in all."""
-    left = min(steps, search.max_iterations) - found.iterations
-    if found.state != RUNNING or left <= 0:
-        return found
-    more = run_search(data, structure, search, found.table, left)
-    return replace(more, iterations=found.iterations + more.iterations)
-
-
-def run_search(
-    data: ChannelData, structure: Structure, search: Search, table: FloatArray, steps: int, *, noise_only: bool = False
-) -> "Found":
-    """Search from a table; with `noise_only` the plant is held and C and D alone move."""
-    nu = data.u.shape[0]
-    plant = [] if noise_only else [ROW_A, *b_rows(nu), *f_rows(nu)]
-    parameterisation = Parameterisation.alike(structure, nu)
-    free = free_rows(nu, [*plant, ROW_C, ROW_D])
-    signals = signals_of(parameterisation, free, parameterisation.states(search.estimate, search.offset))
-    accumulator = InMemory(data.u, data.y, signals)
-    ended = in_memory.search(accumulator, table, steps, TOLERANCE)
-    point = ended.point
-    return Found(
-        point.table, point.criterion, accumulator.residual(point.table), ended.normal, ended.iterations, ended.state
-    )
-
-
-def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[float, float]:
-    """Return the p-values that e is white and that it is free of the inputs."""
-    return whiteness(e, structure), freedom(e, u)
-
-
-def whiteness(e: FloatArray, structure: Structure) -> float:
-    """Return the p-value that the residual e of a structure is white."""
-    return portmanteau.ljung_box(e, _test_lags(e), structure.a + structure.c + structure.d).p_value
-
-
-def freedom(e: FloatArray, u: FloatArray) -> float:
-    """Return the p-value that e is free of the inputs, that of the least over them."""
-    return portmanteau.sidak(portmanteau.cross_correlation(e, x, _test_lags(e)).p_value for x in u)
-
-
-def _test_lags(e: FloatArray) -> int:
-    return min(TEST_LAGS, e.size // 10)
 
 
 def model_of(found: "Found", structure: Structure, data: ChannelData, rate_hz: float) -> PolynomialModel:

@@ -2,7 +2,9 @@
 
 from collections.abc import Hashable, Iterator
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from ultraquiet.identify.prediction_error.parameterisation import Parameterisati
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
+from ultraquiet.linalg import portmanteau, realize
 from ultraquiet.linalg.polynomial_roots import mirrored_inside, monic_from_roots, stabilised
 from ultraquiet.linalg.prediction import repaired
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
@@ -191,11 +194,64 @@ LINEAR_TOLERANCE = 1e-6
 UNDAMPED = 0.0
 
 
+def enlarged_tables(
+    data: ChannelData, structure: Structure, table: FloatArray
+) -> tuple[Structure, list[FloatArray]] | None:
+    """Return a structure whose plant has a mode more, and tables where it is the loudest that rings in the noise.
+
+    The noise begins anew in one, and stays as it is in the other. None where it rings nowhere.
+    """
+    modes = portmanteau.noise_modes(table[ROW_C, : structure.c + 1], table[ROW_D, : structure.d + 1])
+    if not modes.size:
+        return None
+    mode = monic_from_roots(mirrored_inside(np.array([modes[0], modes[0].conjugate()]), RADIUS))
+    larger = replace(structure, b=structure.b + 2, f=structure.f + 2)
+    f = [np.convolve(table[row, : structure.f + 1], mode) for row in f_rows(data.u.shape[0])]
+    anew = _from_poles(data, larger, np.array(f))
+    return larger, [anew, _with_noise_of(anew, table, structure)]
+
+
+def _with_noise_of(table: FloatArray, other: FloatArray, structure: Structure) -> FloatArray:
+    table = table.copy()
+    for row, order in ((ROW_C, structure.c), (ROW_D, structure.d)):
+        table[row, : order + 1] = other[row, : order + 1]
+    return table
+
+
+def with_noise_anew(data: ChannelData, structure: Structure, table: FloatArray) -> FloatArray:
+    """Return a table with the poles of another's plant, B, C and D as a search begins with."""
+    return _from_poles(data, structure, np.array([table[row, : structure.f + 1] for row in f_rows(data.u.shape[0])]))
+
+
+def smaller_tables(data: ChannelData, structure: Structure, larger: FloatArray) -> Iterator[FloatArray]:
+    """Yield tables of a structure from that of a plant with two poles more, one for each two that may be left out.
+
+    Inputs have poles of their own, in the order of frequency: of each those at the same place go. The noise stays.
+    """
+    nu = data.u.shape[0]
+    roots = [realize.roots(larger[row, : structure.f + 3]) for row in f_rows(nu)]
+    twos = [_twos(z) for z in roots]
+    for place in range(min(len(each) for each in twos)):
+        kept = [np.delete(z, each[place]) for z, each in zip(roots, twos, strict=True)]
+        f = np.array([monic_from_roots(mirrored_inside(z, RADIUS)) for z in kept])
+        yield _with_noise_of(_from_poles(data, structure, f), larger, structure)
+
+
+def _twos(poles: ComplexArray) -> list[list[int]]:
+    """Return the places of two poles that a real polynomial can do without: complex pairs, then real ones."""
+    upper = sorted(np.flatnonzero(poles.imag > 0), key=lambda k: float(np.angle(poles[k])))
+    pairs = [[int(k), int(np.argmin(np.abs(poles - poles[k].conjugate())))] for k in upper]
+    return pairs + [[int(j), int(k)] for j, k in combinations(np.flatnonzero(poles.imag == 0), 2)]
+
+
 def _from_poles(data: ChannelData, structure: Structure, f: FloatArray) -> FloatArray:
-    """Return a table with the given F: B by least squares on the simulated output, C and D from what remains."""
+    """Return a table with the given F, one for all inputs or a row for each.
+
+    B by least squares on the simulated output, C and D from what remains.
+    """
     nu = data.u.shape[0]
     table = Parameterisation.alike(structure, nu).empty()
-    table[f_rows(nu), : f.size] = f
+    table[f_rows(nu), : f.shape[-1]] = f
     plant = Structure(0, structure.b, 0, 0, structure.f, structure.delay)
     parameterisation = Parameterisation.alike(plant, nu)
     signals = signals_of(parameterisation, free_rows(nu, b_rows(nu)), parameterisation.states(True, True))

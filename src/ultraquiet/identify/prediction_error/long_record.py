@@ -13,6 +13,7 @@ from ultraquiet.files import LongRecord
 from ultraquiet.identify import chance
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error import race
 from ultraquiet.identify.prediction_error.in_memory import moved
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
@@ -273,7 +274,7 @@ def _fit_output(
         tried += 1
         start = method.fit(ChannelData.of(piece, output), record.rate_hz).model
         begin = LongRecordPoint.of(data, signals, title, table_of(parameterisation, start, data.gain))
-        minimum = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
+        minimum = minimise(begin, method.max_iterations, race.TOLERANCE)
         if best is None or minimum.point.criterion < best.point.criterion:
             best = minimum
             evidence, r = _evidence(minimum.point, structure, fitted)
@@ -311,10 +312,10 @@ def _fit_output(
 def _evidence(
     point: LongRecordPoint, structure: Structure, fitted: tuple[bool, bool]
 ) -> tuple[tuple[float, float], FloatArray]:
-    """Return the p-values of `fit.residual_tests`, and the residual's autocovariance, from one more pass."""
+    """Return the p-values of `race.residual_tests`, and the residual's autocovariance, from one more pass."""
     data, nu = point.data, point.data.input_size.size
     n = data.record.samples
-    lags = min(one_fit.TEST_LAGS, n // 10)
+    lags = min(race.TEST_LAGS, n // 10)
     sums = Lagged(1 + nu, lags)
     still = signals_through(structure, nu, fitted, ())
     data.products(point.table, point.past(), still, point.title, lambda u, _, e: sums.add(np.vstack([e[None], u])))

@@ -6,9 +6,10 @@ from typing import Any, ClassVar, Self
 
 from ultraquiet._base.constraints import one_of, whole, yes_or_no
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify.prediction_error.fit import Fit, Search
+from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation, check_known, each, laid_out
+from ultraquiet.identify.prediction_error.race import Search
 from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.searched_order import AUTO, Auto, SearchedOrder, Unasked

@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import chance
 from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.linalg import portmanteau
@@ -71,7 +72,7 @@ def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_
         portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in inputs
     )
     evidence = white, free
-    status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
+    status = one_fit.verdict(CONVERGED, 0, evidence)
     if running.held > CUT_SHORT_SHARE * n:
         status = Status(
             StatusWord.NOT_CONVERGED,

@@ -13,7 +13,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
-from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error import race
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.long_record import simulated_fit
 from ultraquiet.identify.prediction_error.order_choice import told, unasked
@@ -171,7 +171,7 @@ class RecursiveMethod:
                 f"{type(self).__name__}: all {record.samples} samples of the record go into the first model, and none "
                 f"is left to judge it by; record more than {running.judged_from}, or lower the order."
             )
-        lags = min(one_fit.TEST_LAGS, (record.samples - running.judged_from) // 10)
+        lags = min(race.TEST_LAGS, (record.samples - running.judged_from) // 10)
         sums, points = Lagged(2 + len(record.actuators), lags), []
         title = f"{self.name} of {record.sensors[output].name}"
         with task(title, record.samples) as progress:

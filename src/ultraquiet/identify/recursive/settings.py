@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet.identify.prediction_error.fit import Search
+from ultraquiet.identify.prediction_error.race import Search
 from ultraquiet.identify.prediction_error.structure import Structure
 
 FORGETTING = ("exponential", "directional")
