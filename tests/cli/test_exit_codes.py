@@ -151,6 +151,26 @@ def test_each_command_ends_with_its_code(run, name, code):
         assert err.strip()
 
 
+@pytest.mark.draws(false_alarm=2e-3)  # two true models, each called wrong once in a thousand records
+def test_a_state_space_is_validated_by_what_its_error_holds_of_the_inputs(run, folder, rng):
+    right = uq.StateSpace([[0.8]], [[0.5]], [[1.0]], [[0.0]], RATE_HZ)
+    u = rng.standard_normal((1, 1500))
+    uq.files.save(uq.Record(u, right.simulate(u) + 0.5 * rng.standard_normal((1, 1500)), RATE_HZ), folder / "noisy.h5")
+    near = uq.StateSpace([[0.6]], [[0.5]], [[1.0]], [[0.0]], RATE_HZ)
+    forms = [uq.InnovationForm(x.A, x.B, x.C, x.D, [[0.0]], [[0.25]], RATE_HZ) for x in (right, near)]
+    for name, model, word in (
+        ("a", right, "ok"),
+        ("b", near, "not white"),
+        ("c", forms[0], "ok"),
+        ("d", forms[1], "not white"),
+    ):
+        uq.files.save(model, folder / f"{name}.h5")
+        ended, out, err = run("validate", f"{name}.h5", "noisy.h5")
+        print(out, err)
+        assert ended == (0 if word == "ok" else 1)
+        assert out.splitlines()[-1].startswith(f"{word}: ")
+
+
 def test_a_design_that_leaves_no_law_is_not_ok_or_refused_by_its_word(run, folder):
     for word, code in (("short", 1), ("refused", 2)):
         words = ("--method", "verdict", "--set", "law=false", "--set", f"word={word}", "--out", "K.h5")

@@ -81,3 +81,89 @@ def test_refusals(rng):
     twice = uq.Record(np.vstack([record.inputs] * 2), record.outputs, 100.0)
     with pytest.raises(InputError, match=r"2 models, each with its own noise"):
         uq.validate.residual_test(pair, twice)
+
+
+def modes(f_hz, shape, units=(1.0, 1.0), rate=1000.0):
+    """A state space of lightly damped modes at these frequencies, `shape` outputs and inputs of these sizes."""
+    ny, nu = shape
+    n, rng = len(f_hz), np.random.default_rng(7)
+    pole = np.exp((-0.03 + 1j) * 2 * np.pi * np.array(f_hz) / rate)
+    A = np.kron(np.diag(pole.real), np.eye(2)) + np.kron(np.diag(pole.imag), [[0.0, 1.0], [-1.0, 0.0]])
+    B = rng.standard_normal((2 * n, nu)) / units[1]
+    return uq.StateSpace(A, B, rng.standard_normal((ny, 2 * n)) * units[0], np.zeros((ny, nu)), rate)
+
+
+def recorded(plant, rng, color=0.0, samples=2000):
+    ny, nu = plant.D.shape
+    u = rng.standard_normal((nu, samples)) / np.abs(plant.B).max()
+    y = plant.simulate(u)
+    e = lfilter([1.0], [1.0, -color], rng.standard_normal((ny, samples)))
+    return uq.Record(u, y + 0.05 * y.std(axis=1, keepdims=True) * e / e.std(axis=1, keepdims=True), plant.rate_hz)
+
+
+def judged(model, record):
+    test = uq.validate.state_space_test(model, record)
+    return uq.validate.verdict(model, uq.validate.compare(model, record), test), test
+
+
+SHAPES = {"1x1": ((1, 1), (1.0, 1.0)), "4x3": ((4, 3), (1e5, 1e-6)), "3x5": ((3, 5), (1e-3, 1e4))}
+
+
+# Two verdicts a draw, each of which errs once in a thousand good models.
+@pytest.mark.draws(false_alarm=6e-3)
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("color", [0.0, 0.9])
+def test_a_plain_state_space_is_judged_by_what_its_simulated_error_holds_of_the_inputs(rng, name, color):
+    plant, other = (modes([30.0, f], *SHAPES[name]) for f in (100.0, 101.0))
+    right, test = judged(plant, recorded(plant, rng, color))
+    wrong, _ = judged(plant, recorded(other, rng, color))
+    print(f"\n{name}: {right}; {wrong}")
+    assert test.simulated
+    assert np.isnan(test.whiteness_p).all()
+    assert right.ok
+    assert "free of the inputs" in right.sentence
+    assert wrong.word == "not white"
+    assert "simulated error still follows the inputs" in wrong.sentence
+
+
+@pytest.mark.draws(false_alarm=2e-3)
+def test_an_innovation_form_is_judged_by_its_innovations(rng):
+    plant, other = (modes([30.0, f], (1, 1)) for f in (100.0, 103.0))
+    K = 0.1 * plant.C.T
+    forms = [uq.InnovationForm(x.A, x.B, x.C, x.D, K, [[1.0]], x.rate_hz) for x in (plant, other)]
+    u, e = rng.standard_normal((2, 1, 3000))
+    y = plant.simulate(u) + uq.StateSpace(plant.A, K, plant.C, [[1.0]], plant.rate_hz).simulate(e)
+    record = uq.Record(u, y, plant.rate_hz)
+    (right, test), (wrong, _) = (judged(form, record) for form in forms)
+    print(f"\n{right}; {wrong}")
+    assert not test.simulated
+    assert test.residuals[0, 200:] == pytest.approx(e[0, 200:], abs=0.1)
+    assert right.ok
+    assert wrong.word == "not white"
+
+
+def test_a_model_found_for_simulation_keeps_its_verdict_on_a_second_record_whose_noise_has_colour(rng):
+    plant = modes([30.0, 100.0], (1, 1))
+    first, second = (recorded(plant, rng, 0.9) for _ in range(2))
+    model = uq.identify.Subspace(order=4, refine=True).identify(first).model
+    status, test = judged(model, second)
+    assert test.simulated
+    assert test.origin == "another record"
+    assert status.ok, status
+
+
+def test_a_record_without_noise_gives_nothing_to_test(rng):
+    plant = modes([30.0, 100.0], (4, 3))
+    u = rng.standard_normal((3, 1000))
+    status, _ = judged(plant, uq.Record(u, plant.simulate(u), plant.rate_hz))
+    assert status.ok
+    assert "no noise to test" in status.sentence
+
+
+def test_a_state_space_without_a_simulated_error_is_refused(rng):
+    record = recorded(modes([30.0], (1, 1)), rng)
+    wild = uq.StateSpace([[1.1]], [[1.0]], [[1.0]], [[0.0]], 1000.0)
+    with pytest.raises(InputError, match="unstable, its simulated error has no bound"):
+        uq.validate.state_space_test(wild, record)
+    with pytest.raises(InputError, match=r"40 lags need at least 400 samples, the record has 300"):
+        uq.validate.state_space_test(modes([30.0], (1, 1)), record.part(0, 300))

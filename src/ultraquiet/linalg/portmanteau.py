@@ -116,14 +116,21 @@ def _block_means(x: FloatArray, block: int) -> FloatArray:
     return x[: x.size // block * block].reshape(-1, block).mean(axis=1)
 
 
-def cross_correlation_of(r: FloatArray, covariance: FloatArray, color: FloatArray, n: int) -> Evidence:
-    """Return the same test from means over n samples: e(t) u(t - k), u(t) u(t - k) and e(t) e(t - k), k from zero."""
+def cross_correlation_of(
+    r: FloatArray, covariance: FloatArray, color: FloatArray, n: int, moved: FloatArray | None = None
+) -> Evidence:
+    """Return the same test from means over n samples: e(t) u(t - k), u(t) u(t - k) and e(t) e(t - k), k from zero.
+
+    `moved`, `(lags + 1, k)`, is how far r lies off besides, by k independent numbers of unit variance.
+    """
     lags, residual_lags = r.size - 1, color.size - 1
     index = np.abs(np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :])
     P = color[0] * covariance[index]
     for k in range(1, residual_lags + 1):
         shift = np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :]
         P += color[k] * (covariance[np.abs(shift - k)] + covariance[np.abs(shift + k)])
+    if moved is not None:
+        P = P + n * moved @ moved.T
     values, vectors = np.linalg.eigh(P)
     strong = values > EXCITED_SHARE * values[-1]
     projected = vectors[:, strong].T @ r

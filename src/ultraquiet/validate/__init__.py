@@ -9,6 +9,7 @@ from ultraquiet.validate.draws import drawn_plants
 from ultraquiet.validate.predict import innovations, predicted, simulated
 from ultraquiet.validate.residuals import ResidualTest, residual_test
 from ultraquiet.validate.state_space_bands import state_space_band
+from ultraquiet.validate.state_space_tests import state_space_test
 from ultraquiet.validate.uncertainty import Uncertainty, UncertaintyWeight, combined, from_covariance, from_spread
 from ultraquiet.validate.verdict import verdict
 
@@ -36,6 +37,7 @@ __all__ = [
     "select",
     "simulated",
     "state_space_band",
+    "state_space_test",
     "verdict",
 ]
 

@@ -9,8 +9,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import portmanteau, prediction, score
 from ultraquiet.validate.bands import root
 from ultraquiet.validate.gradient import delay, matching
-from ultraquiet.validate.predict import innovations, single_rows
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.validate.predict import Model, innovations, single_rows
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 from ultraquiet.values.handed_over.kinds import takes_values
 
 DEFAULT_LAGS = 40
@@ -22,13 +22,15 @@ class ResidualTest:
     """Residuals of a model on a record, tested.
 
     Attributes:
-        residuals: `(ny, n)` one-step prediction errors, in output units.
+        residuals: `(ny, n)` one-step prediction errors, or simulated ones, in output units.
         loss: `(ny,)` their mean square.
         autocorrelation: `(ny, lags)` at lags 1, 2, ...; inside +-1.96 / sqrt(n) for 95 % of the lags when white.
-        whiteness_p: `(ny,)` p-value that the residual is white; small: it is not.
+        whiteness_p: `(ny,)` p-value that the residual is white; small: it is not. NaN where it is a simulated error, of
+            which no model says that it is white.
         correlation_p: `(ny, nu)` p-value that an output's residual is free of an input's present and past.
         feedback_p: `(ny, nu)` p-value that it is free of an input's future; small: the input was made from the output.
         origin: what the p-values take the coefficients for, see `residual_test`.
+        simulated: whether the residual is that of the simulation, not of a prediction one step ahead.
     """
 
     residuals: FloatArray
@@ -38,6 +40,7 @@ class ResidualTest:
     correlation_p: FloatArray
     feedback_p: FloatArray
     origin: str
+    simulated: bool = False
 
     @property
     def band(self) -> float:
@@ -111,9 +114,9 @@ def residual_test(
     )
 
 
-def origin_of(model: PolynomialMatrix | PolynomialModel, record: Record) -> str:
+def origin_of(model: Model, record: Record) -> str:
     """Return whether the model names this record as the one it was made from."""
-    named = isinstance(model, PolynomialMatrix) and record.hash in model.provenance.parents
+    named = isinstance(model, PolynomialMatrix | StateSpace) and record.hash in model.provenance.parents
     return "this record" if named else "another record"
 
 
