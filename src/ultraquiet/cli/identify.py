@@ -1,18 +1,21 @@
 """`ultraquiet identify`: one record, one method."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from ultraquiet._base.constraints import between
+from ultraquiet._base.constraints import FloatArray, between
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.order import chooses, found_order, of_order
 from ultraquiet.cli.output.targets import beside, require_free
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import completing
+
+if TYPE_CHECKING:
+    from ultraquiet.values import Status
 
 HELD_OUT = 0.5
 
@@ -72,6 +75,9 @@ def identify(
     unseen_percent = np.full(len(data.sensors), np.nan)
     if held_out_share:
         unseen_percent = validate.compare(result.model, data.part(cut)).fit_percent
+    names = [channel.name for channel in data.sensors]
+    missed = _held_out(result.model, unseen_percent, names) if held_out_share else None
+    status = missed if missed is not None and result.status.ok else result.status
     files.save(result.model, target, overwrite=force)
     of_all = f" of {data.samples}" if held_out_share else ""
     chosen = found_order(settings, result)
@@ -82,11 +88,10 @@ def identify(
         held_out = f"{unseen:.2f} %" if held_out_share else "-"
         grid.add(channel.name, f"{seen:.2f} %", held_out, f"{loss:.4g} {squared(channel.unit)}".strip())
     show.table(grid)
-    show.say(result.status, f"model: {target}")
-    names = [channel.name for channel in data.sensors]
+    show.say(result.status, *([] if missed is None else [missed]), f"model: {target}")
     show.result(
         {
-            "status": result.status,
+            "status": status,
             "model": target,
             "method": method,
             "order": chosen,
@@ -98,7 +103,18 @@ def identify(
             "loss": dict(zip(names, result.loss, strict=True)),
         }
     )
-    finish(result.status)
+    finish(status)
+
+
+def _held_out(model: object, fit_percent: FloatArray, names: list[str]) -> "Status | None":
+    """Return what the part not seen says against a model; an unstable one, held by its loop, is not simulated."""
+    from ultraquiet.validate.verdict import poor_fit
+    from ultraquiet.values import PolynomialMatrix, PolynomialModel, StateSpace, Status
+
+    if not isinstance(model, StateSpace | PolynomialMatrix | PolynomialModel) or not model.is_stable():
+        return None
+    found = poor_fit(fit_percent, names=names)
+    return None if found is None else Status(found.word, f"On the part not seen: {found.sentence}")
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -8,15 +8,21 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 # Growth over a whole record (its logarithm) that is put down to the rounding of an integrator's pole.
 ROUNDING_GROWTH = 0.01
+ROUNDING = 1e-12  # share of an output's size that a constant fitted to it may miss
 MEMORY, RIDGE = 20, 1e-9  # samples of the autoregression that whitens an error, share of its power added to it
 
 
 def fit_percent(y: FloatArray, model: FloatArray) -> float:
-    """Return 100 (1 - ||y - model|| / ||y - mean y||); 100 is perfect, 0 no better than the mean, no lower bound."""
-    spread = float(np.linalg.norm(y - y.mean()))
+    """Return 100 (1 - ||y - model|| / ||y - mean y||); 100 is perfect, 0 no better than the mean, no lower bound.
+
+    >>> stuck = np.full(3, 0.1)  # whose mean is another number, by rounding
+    >>> fit_percent(stuck, stuck), fit_percent(stuck, np.zeros(3))
+    (100.0, -inf)
+    """
+    spread = float(np.linalg.norm(y - y.mean())) if np.ptp(y) > 0.0 else 0.0
     miss = float(np.linalg.norm(y - model)) if np.all(np.isfinite(model)) else np.inf
     if spread == 0.0:
-        return 100.0 if miss == 0.0 else -np.inf
+        return 100.0 if miss <= ROUNDING * float(np.linalg.norm(y)) else -np.inf
     return 100.0 * (1.0 - miss / spread)
 
 
