@@ -7,7 +7,7 @@ from deploy_laws import RATE_HZ, random_law
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy import Twin, conditioning_gain, generate
 from ultraquiet.deploy.law.anti_windup import decide_anti_windup
-from ultraquiet.values import StateSpace
+from ultraquiet.values import Channel, StateSpace
 
 
 def test_conditioned_law_is_stable(law_of):
@@ -175,3 +175,14 @@ def test_bad_settings_are_refused(tmp_path):
         with pytest.raises(InputError, match=words):
             generate(mode(20.0, 0.1), tmp_path / "code", **settings)
         assert not (tmp_path / "code").exists()
+
+
+def test_the_largest_command_is_told_in_its_own_unit():
+    D = np.diag([1e-6, 2e-6, 3e-6])
+    wires = (Channel("left", "N"), Channel("right", "N"), Channel("valve"))
+    for count, said in ((1, "2e-06 N"), (2, "4e-06 N"), (3, "6e-06,")):
+        law = StateSpace(np.zeros((0, 0)), np.zeros((0, count)), np.zeros((count, 0)), D[:count, :count], RATE_HZ)
+        law = StateSpace(law.A, law.B, law.C, law.D, RATE_HZ, sensors=wires[:count])
+        decided = decide_anti_windup("auto", law, np.array([[-1.0, 1.0]] * count), None, 2.0 * np.ones((count, 5)))
+        assert f"commands peak at {said}" in decided.why
+        assert " V" not in decided.why

@@ -97,6 +97,24 @@ def test_whole_numbers_need_ranges(law, tmp_path):
         fixed_law(pushing)
 
 
+def test_whole_numbers_are_told_in_the_units_of_the_law_s_own_channels(tmp_path):
+    ends = {
+        "A measurement of 3 m/s and a command of 5 N are 2^31.": (SPEEDS, COILS[:1]),
+        "A measurement of 3 (m/s, V) and a command of 5 (N, no unit, A) are 2^31.": (
+            (*SPEEDS, Channel("gauge", "V"), Channel("probe", "V")),
+            (COILS[0], Channel("valve"), Channel("coil", "A"), COILS[1]),
+        ),
+        "A measurement of 3 and a command of 5 are 2^31.": (("a", "b", "c"), ("d", "e", "f", "g", "h")),
+        "A measurement of 3 * /x and a command of 5 are 2^31.": ((Channel("odd", "*/x"),), ("d",)),
+    }
+    for k, (said, (y, u)) in enumerate(ends.items()):
+        law = StateSpace(
+            [[0.5]], 0.1 * np.ones((1, len(y))), np.ones((len(u), 1)), np.zeros((len(u), len(y))), 2e3, y, u
+        )
+        generate_fixed(law, tmp_path / str(k), "q31", input_v=3.0, output_v=5.0)
+        assert f" * Whole numbers only. {said}\n" in (tmp_path / str(k) / "controller.h").read_text()
+
+
 def test_limits_are_stated_for_all_or_for_each(law):
     assert requested_limits(None, law) is None
     assert requested_limits("7", law).tolist() == [[-7.0, 7.0]] * 2

@@ -16,7 +16,7 @@ from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR,
 from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
 from ultraquiet.deploy.fixed_point.law import FixedLaw
-from ultraquiet.deploy.fixed_point.ranges import full_ranges
+from ultraquiet.deploy.fixed_point.ranges import full_ranges, full_size
 from ultraquiet.deploy.fixed_point.reach import all_corners, largest_commands, limited_commands, state_corners
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.fixed_point.self_test import self_test
@@ -47,8 +47,8 @@ class FixedOptions(Shown):
     Args:
         form: `modal`, `delta`, or `auto`: the one that changes the loop less.
         scaling: `l1` (no overflow possible) or `l2` (finer states, limited in the code).
-        input_v: full range of a measurement, volts; the largest of the law's own channels when absent.
-        output_v: full range of a command, volts; the smallest of the law's own channels when absent.
+        input_v: full range of a measurement, in its unit; the largest of the law's own channels when absent.
+        output_v: full range of a command, in its unit; the smallest of the law's own channels when absent.
         ramp_s: about this many seconds from zero to full command: the nearest power of two of samples.
         tolerance: largest relative error of coefficients, and largest rounding noise as a share of the range.
 
@@ -133,7 +133,7 @@ def generate_fixed(
     deployment = FixedDeployment(
         law, folder, _tables(law, error), _status(law, error, plant is None, options.tolerance, options.scaling)
     )
-    write_folder(folder, _texts(deployment, controller.hash))
+    write_folder(folder, _texts(deployment, controller))
     return deployment
 
 
@@ -217,8 +217,8 @@ def _tables(law: FixedLaw, error: float) -> dict[str, Any]:
     }
 
 
-def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
-    law = deployment.law
+def _texts(deployment: FixedDeployment, controller: StateSpace) -> dict[str, str]:
+    law, model_hash = deployment.law, controller.hash
     corners, edges = all_corners(law)
     context = {
         **heading(law, model_hash),
@@ -226,6 +226,8 @@ def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
         "B": law.B.tolist(),
         "C": law.C.tolist(),
         "D": law.D.tolist(),
+        "full_reading": full_size(law.input_v, controller.actuators),
+        "full_command": full_size(law.output_v, controller.sensors),
         "down_a": (law.shift_a + 2).tolist(),
         "down_b": (law.shift_b + 2).tolist(),
         "down_u": (law.shift_u + law.bits - 2).tolist(),

@@ -1,9 +1,12 @@
 """The full ranges of readings and commands, which whole numbers cannot do without."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ultraquiet._base.constraints import positive
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.one_line import one_line
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 
@@ -37,6 +40,20 @@ def full_ranges(
                 f" {wire.low:g} to {wire.in_unit(wire.high)}; take precision='float32'."
             )
     return positive(who, "input_v", input_v), positive(who, "output_v", output_v)
+
+
+def full_size(size: float, wires: Sequence[Channel]) -> str:
+    """Return what a full word is as a comment of C says it, in each of the units of its channels where one is stated.
+
+    >>> full_size(2.5, [Channel("push", "N"), Channel("pull", "N")]), full_size(2.5, [Channel("input 1")])
+    ('2.5 N', '2.5')
+    >>> full_size(2.5, [Channel("push", "N"), Channel("coil", "A")])
+    '2.5 (N, A)'
+    """
+    units = [one_line(unit).replace("/*", "/ *").replace("*/", "* /") for unit in dict.fromkeys(w.unit for w in wires)]
+    if len(units) < 2:
+        return f"{size:g} {''.join(units)}".rstrip()
+    return f"{size:g} ({', '.join(unit or 'no unit' for unit in units)})"
 
 
 def _known(who: str, wires: tuple[Channel, ...], what: str, setting: str) -> tuple[Channel, ...]:

@@ -41,9 +41,9 @@ def fixed_law(
         form: `modal` or `delta`.
         scaling: `l1`: no state or sum can overflow while measurements stay in range; `l2`: states keep more bits, and
             are limited where noise at full range would carry them past four times its root mean square.
-        input_v: full range of every measurement, volts; the largest of the law's own channels when absent.
-        output_v: full range of every command, volts; commands saturate there. The smallest of the law's own channels
-            when absent.
+        input_v: full range of every measurement, in its unit; the largest of the law's own channels when absent.
+        output_v: full range of every command, in its unit; commands saturate there. The smallest of the law's own
+            channels when absent.
         name: prefix of every file and symbol.
         ramp_bits: the ramp takes 2^ramp_bits steps.
 

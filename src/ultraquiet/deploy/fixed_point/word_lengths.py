@@ -68,7 +68,7 @@ def word_lengths(
         controller: discrete law from measurements to commands, u = K y.
         plant: G of the loop y = G u; when given the loop is judged, not the law alone.
         precisions: some of `float64`, `float32`, `q31`, `q15`.
-        input_v: full range of a measurement in fixed point, volts; the largest of the law's own channels when absent.
+        input_v: full range of a measurement in fixed point, in its unit; the largest of the law's own when absent.
         output_v: full range of a command there; the smallest of the law's own channels when absent.
         tolerance: largest relative error, and largest rounding noise over the range, that counts as `ok`.
 

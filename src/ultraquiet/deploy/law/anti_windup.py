@@ -80,9 +80,9 @@ def decide_anti_windup(
     Args:
         setting: True, False or `auto`.
         controller: K, discrete.
-        limits: `(nu, 2)`, low and high, volts.
+        limits: `(nu, 2)`, low and high, in the commands' units.
         plant: G of y = G u + d.
-        disturbance_v: d, what the sensors show without control, `(ny, n)` in volts at the law's rate.
+        disturbance_v: d, what the sensors show without control, `(ny, n)` in their units at the law's rate.
 
     Raises:
         InputError: a disturbance of another number of channels, a plant that closes no loop with the law.
@@ -110,9 +110,9 @@ def decide_anti_windup(
         return AntiWindupDecision(
             True, f"the design disturbance drives a command to its limit in {100 * share:.2g} % of its samples"
         )
-    return AntiWindupDecision(
-        False, f"under the design disturbance commands peak at {np.abs(u).max(initial=0.0):.3g} V, inside all limits"
-    )
+    peaks = np.abs(u).max(axis=1, initial=0.0)
+    largest = "no command" if not peaks.size else controller.sensors[int(peaks.argmax())].in_unit(float(peaks.max()), 3)
+    return AntiWindupDecision(False, f"under the design disturbance commands peak at {largest}, inside all limits")
 
 
 def _commands(controller: StateSpace, plant: StateSpace | None, disturbance_v: ArrayLike) -> FloatArray:

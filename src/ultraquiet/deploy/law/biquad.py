@@ -93,7 +93,7 @@ def _gains(D: FloatArray, groups: list[Any]) -> FloatArray:
     left = np.abs(D.ravel() - basis @ gains).max(initial=0.0)
     if left > SAME * np.abs(D).max(initial=0.0) or not groups:
         raise InputError(
-            f"deploy: a bank needs a direct gain within its channels, but {left:.1e} V/V of this law's lie between"
+            f"deploy: a bank needs a direct gain within its channels, but {left:.1e} of this law's lies between"
             " them; take form='modal' or 'auto'."
         )
     return np.asarray(gains, dtype=np.float64)

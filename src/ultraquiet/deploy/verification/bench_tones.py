@@ -75,7 +75,7 @@ def on_bench(
         law: the law as designed; the bench runs it in float64.
         code: what shall be deployed: the compiled code, or a `Processor`.
         tones_hz: tones in Hz; ends and middle of the law's own band when absent, as far as runs are long enough.
-        amplitude_v: amplitude of each tone in volts at the plant's input.
+        amplitude_v: amplitude of each tone at the plant's input, in the unit of its actuators.
         duration_s: length of each run; its second half is measured. When absent two seconds, or 40 samples where these
             take longer.
 
@@ -85,7 +85,7 @@ def on_bench(
     Raises:
         InputError: no tone, or one too slow or too fast to be measured; runs too short for any.
     """
-    positive("on_bench", "amplitude_v", amplitude_v, "V")
+    positive("on_bench", "amplitude_v", amplitude_v)
     if duration_s is None:
         duration_s = max(DURATION_S, SAMPLES / (law.rate_hz or np.inf))
     positive("on_bench", "duration_s", duration_s, "s")
