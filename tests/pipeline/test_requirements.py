@@ -23,6 +23,7 @@ from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import Requirements, StudyError, parse
 from ultraquiet.pipeline.summary import Summary
 from ultraquiet.simulate.open_loop import OpenLoop
+from ultraquiet.simulate.sensitivity.measured import MeasuredSensitivity
 from ultraquiet.values import StateSpace
 
 SUITE = Path(uq.__file__).parent / "pipeline" / "suite.toml"
@@ -123,6 +124,32 @@ def test_a_peak_where_the_bench_is_not_heard_counts_by_the_design_model():
     assert judge(asked, BAND_HZ, {"ground": loop(peak_db=5.5)}, {}, None, below).judged[0].figure == 5.5
 
 
+@pytest.mark.parametrize("ny", [1, 3, 4])
+def test_a_figure_that_is_the_bound_of_a_hidden_line_is_said_to_be_one(rng, ny):
+    f_hz, band_hz = np.arange(1.0, 7.0), (2.0, 4.0)
+    turned = np.linalg.qr(rng.standard_normal((ny, ny)))[0]
+    size = np.array([0.5, 2.0, 4.0, 3.0, 6.0, 0.1])
+    S = uq.FrequencyResponse(f_hz, turned[:, :, None] * size)
+    deviation = np.where(f_hz == 3.0, 0.5, 1e-3)
+    matrix = MeasuredSensitivity(S, S.values, S.values, deviation)
+    hidden = loop(matrix.worst_in_band_db(*band_hz), matrix.peak_amplification_db())
+    resolved = loop(matrix.worst_in_band_db(4.0, 6.0))
+    asked = Requirements(law="quiet", attenuation_db=1.0, peak_db=12.0)
+    quieter, peak = judge(asked, band_hz, {"rig": hidden}, {}, read={"rig": S}).judged
+    bound = " (a bound, as noise hides the line; as read the worst is louder by 12.04 dB), at least 1 dB is asked"
+    print(quieter.sentence, peak.sentence, sep="\n")
+    assert f"is none, louder by 14.0 dB{bound}" in quieter.sentence
+    assert "is 15.56 dB, at most 12 dB" in peak.sentence, "the loudest line of all was resolved"
+    (sure, *_) = judge(asked, (4.0, 6.0), {"rig": resolved}, {}, read={"rig": S}).judged
+    assert "is none, louder by 15.6 dB, at least" in sure.sentence
+    beyond = judge(
+        asked, band_hz, {"rig": loop(peak_db=20.0)}, {}, silent={"rig": (21.0, 9.0)}, read={"rig": S}
+    ).judged[1]
+    assert (
+        "20 dB elsewhere (a bound, as noise hides the line; as read the worst is louder by 15.56 dB)" in beyond.sentence
+    )
+
+
 def test_a_peak_above_what_was_heard_is_found():
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 100.0)
     law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.6]], 100.0)
@@ -207,8 +234,10 @@ def test_other_laws_are_never_counted():
     study = packaged_study("suite")
     stages = Stages(study, None, None, {}, print)
     loops = {
-        "quiet": SimpleNamespace(facts=SimpleNamespace(units=GOOD)),
-        "lqg-ltr": SimpleNamespace(facts=SimpleNamespace(units={"ground": UnstableLoop(status="unstable: So.")})),
+        "quiet": SimpleNamespace(facts=SimpleNamespace(units=GOOD), values={}),
+        "lqg-ltr": SimpleNamespace(
+            facts=SimpleNamespace(units={"ground": UnstableLoop(status="unstable: So.")}), values={}
+        ),
     }
     plan = SimpleNamespace(band_hz=study.closed_loop.band_hz)
     judged = stages._judge(None, {}, loops, plan, {})

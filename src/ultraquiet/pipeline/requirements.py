@@ -3,20 +3,24 @@
 from collections.abc import Iterator, Mapping
 from math import inf
 
+import numpy as np
+
 from ultraquiet import analyse
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import loudness, on_its_side
 from ultraquiet.analyse.disk import ENDS
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.mission import NoPayload, PayloadLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.study import Band, Requirements
-from ultraquiet.values import StateSpace
+from ultraquiet.values import FrequencyResponse, StateSpace
 
 Peak = tuple[float, float]  # in dB, and where, in Hz
 Units = Mapping[str, StableLoop | UnstableLoop]
 # How far below what was heard, and how near to half the rate above it, the design model is asked.
 DEEPEST, NEAREST = 1e-3, 0.999
+ROUNDING_DB = 1e-6  # what files and another order of summing leave between a figure and the line it was read from
 # Each requirement with its unit and whether more of it is better.
 MEASURED = {"attenuation_db": (" dB", True), "peak_db": (" dB", False), "tones_db": (" dB", True)}
 PAYLOAD = "payload_db"
@@ -45,6 +49,7 @@ def judge(
     payload: Mapping[str, PayloadLoop | NoPayload] | None = None,
     silent: Mapping[str, Peak] | None = None,
     faint: Mapping[str, Peak] | None = None,
+    read: Mapping[str, FrequencyResponse] | None = None,
 ) -> RequirementsFacts:
     """Return every requirement with its figure and its verdict.
 
@@ -59,11 +64,13 @@ def judge(
         faint: least reductions by unit that the design model has where the bench is not heard within the band
             (`unheard_reductions`); one that is below what was heard is what counts of `attenuation_db`. Without it,
             the reduction over such a band was not measured.
+        read: sensitivities by unit as they were read. Where noise hides the line that decides, what counts is a bound
+            of it, and the sentence says so and what was read.
 
     What was not measured, because a loop is unstable or was never closed, is missed.
     """
     beyond = {"peak_db": silent or {}, "attenuation_db": faint or {}}
-    judged = [*_measured(asked, band_hz, units, beyond), *_of_payload(asked, band_hz, payload)]
+    judged = [*_measured(asked, band_hz, units, beyond, read or {}), *_of_payload(asked, band_hz, payload)]
     if asked.disk_margin is not None:
         for end in ENDS:
             judged.append(_one("disk_margin", end, asked.disk_margin, disk.get(end), band_hz))
@@ -121,7 +128,11 @@ def unheard_reductions(plant: StateSpace, law: StateSpace, units: Units, band_hz
 
 
 def _measured(
-    asked: Requirements, band_hz: Band, units: Units | None, beyond: Mapping[str, Mapping[str, Peak]]
+    asked: Requirements,
+    band_hz: Band,
+    units: Units | None,
+    beyond: Mapping[str, Mapping[str, Peak]],
+    read: Mapping[str, FrequencyResponse],
 ) -> Iterator[RequirementFacts]:
     for name in MEASURED:
         limit = getattr(asked, name)
@@ -137,8 +148,9 @@ def _measured(
             if name == "attenuation_db" and silent is None and loop.unheard(band_hz):
                 yield _one(name, unit, limit, None, band_hz, _heard(loop))
                 continue
-            source = _unsettled(loop) if name == "tones_db" else ""
-            yield _one(name, unit, limit, _figure(name, loop), band_hz, loop.status, silent, source)
+            figure = _figure(name, loop)
+            source = _unsettled(loop) if name == "tones_db" else _at_a_bound(name, figure, read.get(unit), band_hz)
+            yield _one(name, unit, limit, figure, band_hz, loop.status, silent, source)
 
 
 def _of_payload(
@@ -174,6 +186,24 @@ def _heard(loop: StableLoop) -> str:
     return f"the bench is heard from {low:.4g} to {high:.4g} Hz"
 
 
+def _at_a_bound(name: str, figure: float, read: FrequencyResponse | None, band_hz: Band) -> str:
+    """Return what to say behind the figure of a worst direction where it is the bound of a hidden line, not a reading.
+
+    A hidden line counts louder than it was read, so that the figure is then beyond the loudest reading.
+    """
+    if read is None:
+        return ""
+    low, high = band_hz if name == "attenuation_db" else (0.0, inf)
+    band = (read.f_hz >= low) & (read.f_hz <= high)
+    if not band.any():
+        return ""
+    loudest_db = 20.0 * float(np.log10(principal_gains(read.values)[0, band].max()))
+    counted_db = -figure if name == "attenuation_db" else figure
+    if not counted_db > loudest_db + ROUNDING_DB:
+        return ""
+    return f" (a bound, as noise hides the line; as read the worst is {loudness(-loudest_db, 2)})"
+
+
 def _unsettled(loop: StableLoop) -> str:
     """Return what to say behind the figure of the worst tone where that tone's amplitude was still changing."""
     hz, tone = min(loop.tones.items(), key=lambda each: each[1].reduction_db)
@@ -192,9 +222,8 @@ def _one(
 ) -> RequirementFacts:
     unit, more = MEASURED.get(name, (" dB" if name == PAYLOAD else "", True))
     if figure is not None and beyond is not None and (beyond[0] < figure if more else beyond[0] > figure):
-        source = (
-            f" by the design model, at {beyond[1]:.4g} Hz, where the bench is not heard; {figure:.4g}{unit} elsewhere"
-        )
+        modelled = f" by the design model, at {beyond[1]:.4g} Hz, where the bench is not heard"
+        source = f"{modelled}; {figure:.4g}{unit} elsewhere{source}"
         figure = beyond[0]
     # NaN, which no comparison admits, meets nothing
     met = figure is not None and (figure >= asked if more else figure <= asked)

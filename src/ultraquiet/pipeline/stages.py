@@ -240,7 +240,10 @@ class Stages(ModelStages):
         if law is not None and asked.attenuation_db is not None:
             faint = requirements.unheard_reductions(plant, law, units or {}, band_hz)
         payloads = None if heard is None else heard.facts.units
-        return requirements.judge(asked, band_hz, units, disk, payloads, silent, faint)
+        kept = {} if loop is None else loop.values
+        names = {unit: stored.sensitivity(asked.law, unit) for unit in units or {}}
+        read = {unit: kept[name] for unit, name in names.items() if name in kept}
+        return requirements.judge(asked, band_hz, units, disk, payloads, silent, faint, read)
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]
