@@ -229,3 +229,23 @@ def test_a_bench_of_a_study_file_and_a_unit_of_it(run, tmp_path):
     assert set(said["tones"][0]["sensors"]) == {f"strut {k}" for k in range(1, 7)}
     code, _, err = run("simulate", "law.h5", *words, "--unit", "moon")
     assert (code, "'moon'" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("force", "motion", "units", "told"),
+    [
+        ("f", "a", ("N", "m/s^2"), True),
+        ("coil", "geophone", ("", ""), True),
+        ("force sensor", "position actuator", ("N", "m"), False),
+        ("u", "y", ("", ""), False),
+    ],
+)
+def test_a_plant_where_its_law_is_to_stand_is_refused_where_channels_tell(run, tmp_path, force, motion, units, told):
+    f, a = uq.Channel(force, units[0]), uq.Channel(motion, units[1])
+    uq.files.save(uq.StateSpace([[0.5]], [[1.0]], [[0.1]], [[0.0]], 1000.0, [f], [a]), tmp_path / "pushed.h5")
+    uq.files.save(uq.StateSpace([[0.5]], [[1.0]], [[0.1]], [[0.0]], 1000.0, [a], [f]), tmp_path / "law.h5")
+    assert run("analyse", "pushed.h5", "law.h5")[0] == 0
+    code, _, err = run("analyse", "law.h5", "pushed.h5")
+    print(err)
+    assert code == (2 if told else 0)
+    assert ("PLANT comes first, its law after it" in err) == told

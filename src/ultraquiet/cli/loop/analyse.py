@@ -30,7 +30,7 @@ def analyse(
 ) -> None:
     """Say what a loop keeps: stability, margins at both ends, peaks of S, T and KS, attenuation over a band."""
     from ultraquiet.cli.loop.facts import band_sentence, margins_facts, margins_grid, peaks_grid, slowest_sentence
-    from ultraquiet.cli.loop.loaded import loaded_law, loaded_plant, require_fit
+    from ultraquiet.cli.loop.loaded import loaded_law, loaded_plant, require_fit, require_order
     from ultraquiet.cli.output.pictures import require_folder, require_format, save_pictures
     from ultraquiet.cli.output.screen import screen
     from ultraquiet.design.loop_analysis import analyse_loop
@@ -41,6 +41,7 @@ def analyse(
         require_folder("analyse", out)
     system, controller = loaded_plant(plant, "analyse"), loaded_law(law, "analyse")
     require_fit("analyse", system, controller)
+    require_order(law, system, controller)
     found = analyse_loop(system, controller, band, DISK_MARGIN if disk_margin is None else disk_margin)
     show = screen()
     show.say(str(found.status), slowest_sentence(found.slowest), "")

@@ -66,3 +66,15 @@ def require_fit(who: str, plant: "StateSpace", law: "StateSpace") -> None:
         f"{who}: the plant has {nu} inputs and {ny} outputs, so a law must take {ny} readings and give {nu} commands; "
         f"this one takes {law.D.shape[1]} and gives {law.D.shape[0]}."
     )
+
+
+def require_order(path: Path, plant: "StateSpace", law: "StateSpace") -> None:
+    """Refuse a plant where its law is to stand, of `analyse PLANT LAW`, where their channels tell."""
+    from ultraquiet.deploy.law.kind import swapped
+
+    reason = swapped(plant, law)
+    if reason is not None:
+        raise InputError(
+            f"analyse: '{path}' is the plant: {reason}; PLANT comes first, its law after it. Where motions are "
+            f"commanded and forces measured, names say so: 'motion actuator', 'force sensor'."
+        )

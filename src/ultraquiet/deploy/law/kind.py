@@ -46,6 +46,22 @@ def require_law(controller: StateSpace, plant: StateSpace | None = None) -> None
         )
 
 
+def swapped(plant: StateSpace, law: StateSpace) -> str | None:
+    """Return what gives away that a plant and its law stand in each other's place, None where nothing does.
+
+    Forces may be measured and motions commanded: where the names say so, or a plant was identified or a law designed,
+    units give nothing away.
+
+    >>> pushed = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 10.0, [Channel("f", "N")], [Channel("a", "m/s^2")])
+    >>> law = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 10.0, [Channel("a", "m/s^2")], [Channel("f", "N")])
+    >>> swapped(law, pushed), swapped(pushed, law)
+    ("'f' in N goes in and 'a' in m/s^2 comes out", None)
+    """
+    if _history(plant) is not None or _designed(law) or _any(SENSING, law.actuators) or _any(ACTUATING, law.sensors):
+        return None
+    return _channels(law) if _mirrors(law, plant) else None
+
+
 def _history(system: StateSpace) -> str | None:
     maker = system.provenance.made_by
     made = maker in methods("identify") or maker.startswith(MODELS_OF_PLANTS)
