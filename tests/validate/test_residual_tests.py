@@ -142,6 +142,7 @@ def test_an_innovation_form_is_judged_by_its_innovations(rng):
     assert wrong.word == "not white"
 
 
+@pytest.mark.draws(false_alarm=1e-3)
 def test_a_model_found_for_simulation_keeps_its_verdict_on_a_second_record_whose_noise_has_colour(rng):
     plant = modes([30.0, 100.0], (1, 1))
     first, second = (recorded(plant, rng, 0.9) for _ in range(2))
