@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from loops import alone, estimated_feedback, lightly_damped, radius
+from loops import alone, estimated_feedback, in_other_units, lightly_damped, radius, slow_loop, stiff
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import disk_margins, end_margins, loop_margins
@@ -123,3 +123,57 @@ def test_a_response_keeps_its_digits_when_states_come_in_units_decades_apart(see
     dx = 10.0 ** np.random.default_rng(seed).uniform(-9, 9, plant.states)
     other = StateSpace(plant.A * dx[:, None] / dx, plant.B * dx[:, None], plant.C / dx, plant.D, plant.rate_hz)
     assert np.allclose(other.frequency_response(f), plant.frequency_response(f), rtol=1e-8, atol=0)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    ("zeros", "poles"),
+    [
+        ((1.6330, 1.6472, -0.1772), (-0.6815, -1.0831, -0.5097)),
+        ((1.5378, 3.0315, -0.1914), (-0.5254, -0.6025, -1.5836)),
+        ((1.3690, 2.8041, -0.1953), (-0.5688, -0.6297, -1.5171)),
+    ],
+)
+def test_a_crossing_between_an_end_of_the_axis_and_the_poles_next_to_it_is_met(zeros, poles, shape, mirrored):
+    """Of poles five decades below the sampling rate, where the grid's own lines are not."""
+    plant, law = slow_loop(zeros, poles, 5e4, shape, mirrored)
+    for loop in ((plant, law), in_other_units(plant, law)):
+        for side in SIDES:
+            found = end_margins(*loop, side)
+            for factor in factors_of(found, 0):
+                assert radius(plant, law, side, alone(found.disk.size, 0, factor ** (1 - SHARE))) < 1
+                assert radius(plant, law, side, alone(found.disk.size, 0, factor ** (1 + SHARE))) > 1
+            assert found.least_change.disk >= found.disk.min() - 1e-9
+
+
+@pytest.mark.parametrize(("shape", "draw"), [((1, 1), 0), ((4, 3), 1), ((3, 5), 2), ((3, 5), 44)])
+def test_a_response_counts_as_real_at_the_ends_of_the_axis_whatever_rounding_leaves(shape, draw):
+    plant, law = stiff(np.random.default_rng(draw), *shape)
+    for loop in ((plant, law), in_other_units(plant, law)):
+        found = loop_margins(*loop)
+        for channel, db in enumerate(found.gain_up_db):
+            up = 10 ** (min(db, 80.0) * (1 - SHARE) / 20)
+            assert radius(plant, law, "output", alone(shape[0], channel, up)) < 1
+            if np.isfinite(db):
+                up = 10 ** (db * (1 + SHARE) / 20)
+                assert radius(plant, law, "output", alone(shape[0], channel, up)) > 1
+
+
+def test_a_crossing_is_met_in_continuous_time_far_below_a_fast_mode():
+    """The slow loop of above at 1e-4 rad/s, and a fast pair whose poles and zeros differ by a little."""
+    fast = np.exp(1j * np.pi * np.array([[0.502, -0.502], [0.501, -0.501]])) * 3e4
+    poles, zeros = (
+        np.r_[-1e-4 * np.array([0.6815, 1.0831, 0.5097]), fast[0]],
+        np.r_[1e-4 * np.array([1.6330, 1.6472, -0.1772]), fast[1]],
+    )
+    numerator, denominator = np.poly(zeros).real, np.poly(poles).real
+    A = np.vstack([-numerator[1:], np.eye(4, 5)])
+    plant = StateSpace(A, np.eye(5, 1), (numerator - denominator)[None, 1:], [[0.0]])
+    found = loop_margins(plant, gain([[1.0]]))
+
+    def growth(db):
+        return np.roots(numerator - 10 ** (db / 20) * (numerator - denominator)).real.max()
+
+    for db in (found.gain_up_db[0], -found.gain_down_db[0]):
+        assert all(growth(share * db) < 0 for share in (0.25, 0.5, 0.75, 1 - SHARE) if np.isfinite(db))

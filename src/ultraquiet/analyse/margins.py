@@ -16,6 +16,7 @@ from ultraquiet.analyse.peaks import (
     diagonal_at,
     ends,
     refined,
+    with_ends,
 )
 from ultraquiet.linalg.even import evened
 from ultraquiet.values.door import takes_systems
@@ -151,7 +152,11 @@ def margins_of(S: StateSpace, f_hz: ArrayLike | None = None) -> tuple[Margins, l
     """
     if not S.is_stable():
         return Margins(*(np.zeros(S.D.shape[0]) for _ in range(5))), []
-    f = default_grid(S) if f_hz is None else grid_given("loop_margins", f_hz)
+    if f_hz is None:
+        f = default_grid(S)
+        f = with_ends(f, f[-1] * 10**-DECADES, S.poles(), S.rate_hz)
+    else:
+        f = np.unique(grid_given("loop_margins", f_hz))
     at, on_grid = diagonal_at(S), diagonal(S, f)
     beside = ends(S.rate_hz) if f_hz is None else None
     crossings = channel_crossings(S, f, on_grid, beside)

@@ -18,7 +18,10 @@ NEAR = 0.9  # share of the highest point that a neighbour needs to be looked at 
 MOST = 8  # peaks looked at
 INNER = 3  # points between a peak and each neighbour: a round narrows it to a quarter
 HALVINGS = 48  # of an interval of the grid: down to rounding
-AXIS = 1e-9  # relative: at an end of the axis of frequency the response is real but for rounding
+AXIS = 1e-9  # relative: a response at an end of a grid is real but for rounding
+REAL = 1e-3  # of the slowest pole: below it a response is that at 0 Hz but for 1e-6, and likewise at the other end
+A_DECADE = 40  # lines towards the ends of the axis
+CLOSEST = 1e-15  # of the sampling rate: a line is no nearer to an end of the axis, where it could not be told from it
 ROUNDS = 9  # 4^-9 of the grid's step: a kink's place to 4e-6 of it
 
 
@@ -53,6 +56,32 @@ def _terms(system: ByContents[tuple[FloatArray, FloatArray, FloatArray]]) -> Res
 def ends(rate_hz: float | None) -> FloatArray:
     """Return the ends of the axis in Hz, which a logarithmic grid never reaches: zero, and infinity or Nyquist."""
     return np.array([0.0, np.inf if rate_hz is None else rate_hz / 2])
+
+
+def with_ends(f: FloatArray, dense: float, poles: ComplexArray, rate_hz: float | None) -> FloatArray:
+    """Return a grid, dense from a frequency in Hz on, with 0 Hz and lines towards both ends of the axis.
+
+    What crosses an axis within the first or last interval of a grid shows between such lines; beyond them, in Hz below
+    the slowest pole, above the fastest or nearer to Nyquist than any, it crosses as high as it stands at the end.
+    """
+    if not poles.size:
+        return f
+    if rate_hz is None:
+        size = np.abs(poles) / (2 * np.pi)
+        more = [_decades(REAL * size.min(), dense), _decades(f[-1], size.max() / REAL)]
+        return np.unique(np.concatenate([[0.0], f, *more]))
+    off = np.log(np.multiply.outer([1.0, -1.0], poles[np.abs(poles) > 0]))  # from z = 1, and from Nyquist's z = -1
+    least = np.abs(off).min(axis=1, initial=np.inf) / (2 * np.pi)
+    low, high = rate_hz * np.maximum(REAL * least, CLOSEST)
+    last = rate_hz / 2 - _decades(high, rate_hz / 2 - f[f < rate_hz / 2].max(initial=0.0))
+    return np.unique(np.concatenate([[0.0], f, _decades(low, dense), last]))
+
+
+def _decades(low: float, high: float) -> FloatArray:
+    """Return lines from low to high, evenly spaced in their logarithm; none where low is above high."""
+    if not 0 < low < high:
+        return np.zeros(0)
+    return np.geomspace(low, high, 1 + int(np.ceil(A_DECADE * np.log10(high / low))))
 
 
 def beside_poles(poles: ComplexArray, rate_hz: float | None, sharp: float, widths: FloatArray) -> FloatArray:
@@ -135,19 +164,21 @@ def channel_crossings(
     """
     at = diagonal_at(S)
     X = diagonal - 0.5
-    gains, phases = (_roots(at, f, X, part) for part in (np.imag, np.real))
-    channels, gain_hz = gains
+    positive = X.imag > 0
+    if f.size > 1:  # a response that is real has no sign there but that of rounding
+        positive[:, 0] = positive[:, int(_real_at(f[0], S.rate_hz))]
+        positive[:, -1] = positive[:, -1 - int(_real_at(f[-1], S.rate_hz))]
+    (channels, gain_hz), (turned, phase_hz) = _roots(at, f, positive, np.imag), _roots(at, f, X.real > 0, np.real)
     real = (at(channels, gain_hz) - 0.5).real
     edges = np.unique(f[[0, -1]] if beside is None else np.concatenate([f[[0, -1]], beside]))
     more, ends_hz = np.repeat(np.arange(len(X)), edges.size), np.tile(edges, len(X))
     end = at(more, ends_hz) - 0.5
-    here = np.abs(end.imag) <= AXIS * np.abs(end)
+    here = _real_at(ends_hz, S.rate_hz) | (np.abs(end.imag) <= AXIS * np.abs(end))
     channels, gain_hz = np.concatenate([channels, more[here]]), np.concatenate([gain_hz, ends_hz[here]])
     real = np.concatenate([real, end.real[here]])
     # |X| < 1/2 belongs to a factor below zero, a turned sign
     kept = np.abs(real) > 0.5
     channels, gain_hz, real = channels[kept], gain_hz[kept], real[kept]
-    turned, phase_hz = phases
     imaginary = (at(turned, phase_hz) - 0.5).imag
     rows: list[Crossings] = []
     for i in range(len(X)):
@@ -161,14 +192,21 @@ def channel_crossings(
     return rows
 
 
+def _real_at(f: FloatArray, rate_hz: float | None) -> NDArray[np.bool_]:
+    """Return whether the response of a real system is real at frequencies in Hz, whatever rounding leaves beside it."""
+    return (f == 0) | (f == (np.inf if rate_hz is None else rate_hz / 2))
+
+
 def _roots(
     at: Callable[[Channels, FloatArray], ComplexArray],
     f: FloatArray,
-    X: ComplexArray,
+    above: NDArray[np.bool_],
     part: Callable[[ComplexArray], FloatArray],
 ) -> tuple[Channels, FloatArray]:
-    """Return channels and frequencies at which a part of X vanishes: intervals with a change of sign are halved."""
-    above = part(X) > 0
+    """Return channels and frequencies at which a part of X vanishes: intervals with a change of sign are halved.
+
+    `above` tells where that part is above zero on the grid, `(channels, nf)`.
+    """
     channels, k = np.nonzero(above[:, 1:] != above[:, :-1])
     low, high, sign = f[k], f[k + 1], above[channels, k]
     for _ in range(HALVINGS if k.size else 0):
