@@ -6,6 +6,8 @@ from loops import alone, estimated_feedback, in_other_units, lightly_damped, rad
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import disk_margins, end_margins, loop_margins
+from ultraquiet.analyse.margins import even_sensitivity
+from ultraquiet.analyse.peaks import response_at
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import gain
 
@@ -177,3 +179,20 @@ def test_a_crossing_is_met_in_continuous_time_far_below_a_fast_mode():
 
     for db in (found.gain_up_db[0], -found.gain_down_db[0]):
         assert all(growth(share * db) < 0 for share in (0.25, 0.5, 0.75, 1 - SHARE) if np.isfinite(db))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("side", SIDES)
+def test_margins_of_a_loop_whose_poles_are_nearly_alike_are_those_of_its_poles(shape, side):
+    """Modes alone put a crossing of 5.9 degrees at 1.5."""
+    plant, law = slow_loop((0.60889889, 1.49418956, 0.33639568), (-0.30485982, -0.30528791, -0.30160304), 5e4, shape)
+    for loop in ((plant, law), in_other_units(plant, law)):
+        found = end_margins(*loop, side)
+        for factor in factors_of(found, 0):
+            assert radius(plant, law, side, alone(found.disk.size, 0, factor ** (1 - SHARE))) < 1
+            assert radius(plant, law, side, alone(found.disk.size, 0, factor ** (1 + SHARE))) > 1
+        f = np.geomspace(1e-3, 1e4, 200)
+        S = even_sensitivity(*loop, side)
+        expected = np.linalg.solve(np.exp(2j * np.pi * f / 5e4)[:, None, None] * np.eye(S.states) - S.A, S.B + 0j)
+        expected = np.moveaxis(S.C @ expected + S.D, 0, 2)
+        assert np.abs(response_at(S)(f) - expected).max() < 1e-7 * np.abs(expected).max()

@@ -1,6 +1,7 @@
 """Modal coordinates, balancing, the bilinear map, sampling and delay."""
 
 import numpy as np
+import pytest
 from scipy.linalg import block_diag
 from scipy.signal import cont2discrete
 
@@ -50,6 +51,41 @@ def test_modal_response_is_that_of_the_triangular_kernel(rng):
     z = 1j * np.geomspace(0.1, 100, 200)
     fast, slow = modal_response.residues(A, B, C, D).at(z), response.frequency_response(A, B, C, D, z)
     np.testing.assert_allclose(fast, slow, atol=1e-7 * np.abs(slow).max())
+
+
+def crowded(rng, ny, nu, rate_hz=5e4):
+    """Three poles within 2 % of 0.3 rad/s, five decades below the sampling rate, and two fast ones; units at random."""
+    companion = np.poly(-0.3 * (1 + rng.uniform(0, 0.02, 3)))
+    slow = np.eye(3) + np.vstack([-companion[1:], np.eye(2, 3)]) / rate_hz
+    B = rng.standard_normal((5, nu)) / rate_hz * 10.0 ** rng.uniform(-5, 5, nu)
+    return block_diag(slow, 0.5 * np.eye(2)), B, rng.standard_normal((ny, 5)) * 10.0 ** rng.uniform(-5, 5, (ny, 1))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (4, 3), (3, 5)])
+@pytest.mark.parametrize("draw", range(4))
+def test_a_verified_response_is_that_of_dense_solves_where_poles_crowd(shape, draw):
+    """Modes by themselves are off by as much as the response itself, at a condition that says nothing of it."""
+    A, B, C = crowded(np.random.default_rng(draw), *shape)
+    z = np.exp(2j * np.pi * np.geomspace(1e-3, 10, 60) / 5e4)
+    found = modal_response.verified(A, B, C, np.zeros(shape), discrete=True).at(z)
+    expected = np.moveaxis(C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B.astype(complex)), 0, 2)
+    size = np.abs(expected).max(axis=2, keepdims=True)
+    assert np.abs((found - expected) / size).max() < 1e-7
+
+
+@pytest.mark.parametrize("discrete", [True, False])
+def test_modes_that_agree_with_direct_solves_are_kept(rng, discrete):
+    """Of light modes, of undamped ones and an integrator, and of a system without states."""
+    w = np.array([0.01, 0.2, 0.5])
+    for damping in (1e-2, 1e-9, 0.0):
+        s = w * (-damping + 1j)
+        pairs = np.exp(s) if discrete else s
+        A = block_diag(*([[p.real, p.imag], [-p.imag, p.real]] for p in pairs), [[float(discrete)]])
+        Q = np.linalg.qr(rng.standard_normal((7, 7)))[0]
+        A, B, C, D = Q @ A @ Q.T, rng.standard_normal((7, 3)), rng.standard_normal((2, 7)), np.zeros((2, 3))
+        assert modal_response.verified(A, B, C, D, discrete).rest is None
+    nothing = modal_response.verified(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), np.ones((2, 3)), discrete)
+    assert np.array_equal(nothing.at(np.array([1j])), np.ones((2, 3, 1)))
 
 
 def test_a_double_pole_that_rounding_makes_a_pair_is_not_split():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.provenance import ByContents, content_hash
-from ultraquiet.linalg.modal_response import Residues, residues
+from ultraquiet.linalg.modal_response import Residues, verified
 from ultraquiet.linalg.response import points
 from ultraquiet.values.state_space import StateSpace
 
@@ -42,15 +42,15 @@ def response_at(system: StateSpace) -> Callable[[FloatArray], ComplexArray]:
 
 
 def _split(system: StateSpace) -> Residues:
-    matrices = system.A, system.B, system.C
-    return _terms(ByContents(matrices, content_hash(*matrices)))._replace(D=system.D)
+    matrices, discrete = (system.A, system.B, system.C), system.rate_hz is not None
+    return _terms(ByContents(matrices, content_hash(*matrices)), discrete)._replace(D=system.D)
 
 
 # The margins of a loop are taken from one sensitivity, whose direct term alone differs from one to the other.
 @lru_cache(maxsize=16)
-def _terms(system: ByContents[tuple[FloatArray, FloatArray, FloatArray]]) -> Residues:
+def _terms(system: ByContents[tuple[FloatArray, FloatArray, FloatArray]], discrete: bool) -> Residues:
     A, B, C = system.value
-    return residues(A, B, C, np.zeros((C.shape[0], B.shape[1])))
+    return verified(A, B, C, np.zeros((C.shape[0], B.shape[1])), discrete)
 
 
 def ends(rate_hz: float | None) -> FloatArray:

@@ -17,6 +17,11 @@ APART = 1e3  # the same for poles and their conjugates: what a pair loses beside
 TIED = 8  # states of a block whose terms are written out; of more, triangular solves take less work
 ROUNDING = np.finfo(float).eps
 LINES = 4096  # points taken at a time
+AGREE = 1e-8  # of a response, in even units: as far modes may be off a direct solve where they are compared
+UNCERTAIN = 16  # times rounding, over the distance from a pole: as far direct solves may be off themselves
+COMPARED = 96  # points at most
+BEYOND = 10.0  # times the fastest pole, and its inverse times the slowest: the response is compared there too
+SWEEPS = 4  # that bring rows and columns of a response to one size
 
 
 class PoleClusters(NamedTuple):
@@ -68,7 +73,40 @@ class Residues(NamedTuple):
 
 def residues(A: Array, B: Array, C: Array, D: Array) -> Residues:
     """Split a system into first-order terms; modes that cannot be told apart stay together."""
-    return split(balance.modal(*evened(A, B, C, UNEVEN)), D)
+    A, B, C = evened(A, B, C, UNEVEN)
+    found = split(balance.modal(A, B, C), D)
+    return found if found.modes else _whole(A, B, C, D)
+
+
+def verified(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> Residues:
+    """Split a system as `residues` does, or leave it whole where modes lose digits of the response.
+
+    What nearly parallel modes lose, no condition of theirs tells without what they move and are seen by, nor without
+    how near to the axis they are: modes and triangular solves are compared at the poles' frequencies and between them.
+
+    Args:
+        A: `(n, n)`.
+        B: `(n, nu)`.
+        C: `(ny, n)`.
+        D: `(ny, nu)`.
+        discrete: whether the unit circle or the imaginary axis is where the response is asked for.
+    """
+    A, B, C = evened(A, B, C, UNEVEN)
+    found, whole = split(balance.modal(A, B, C), D), _whole(A, B, C, D)
+    if not found.modes or whole.rest is None:
+        return whole
+    z, share = _compared(np.diag(whole.rest[0]), discrete)
+    exact = triangular_response(*whole.rest, z)
+    return found if _agree(found._replace(D=np.zeros(D.shape)).at(z), exact, share) else whole
+
+
+def _whole(A: Array, B: Array, C: Array, D: Array) -> Residues:
+    """Return what is left of a system of which nothing is split: of the states given, not of modes that lose digits."""
+    rest = None
+    if A.size:
+        T, Q = complex_schur(A)
+        rest = T, Q.conj().T @ B, C @ Q
+    return Residues((), np.zeros((D.size, 0)), rest, D)
 
 
 def split(form: balance.Coordinates, D: Array) -> Residues:
@@ -98,6 +136,43 @@ def split(form: balance.Coordinates, D: Array) -> Residues:
         T, Q = complex_schur(form.A[np.ix_(left, left)])
         rest = (T, Q.conj().T @ form.B[left], form.C[:, left] @ Q)
     return Residues(tuple(modes), np.concatenate(terms, axis=1), rest, D)
+
+
+def _compared(poles: Array, discrete: bool) -> tuple[Array, Array]:
+    """Return points of the axis at the frequencies and moduli of poles, between those and beyond, and a tolerance each.
+
+    A point at which rounding decides on which side of it a pole is is left out.
+    """
+    s = np.log(poles[poles != 0]) if discrete else poles
+    w = np.concatenate([np.abs(s.imag), np.abs(s)])
+    w = np.unique(w[(w > ROUNDING * w.max(initial=0.0)) & ((w < np.pi) | (not discrete))])
+    if w.size:
+        w = np.concatenate([w, np.sqrt(w[1:] * w[:-1]), [w[0] / BEYOND, BEYOND * w[-1]]])
+    w = np.append(np.sort(w[w < np.pi]), np.pi) if discrete else np.sort(w)
+    w = w[np.unique(np.linspace(0, w.size - 1, min(w.size, COMPARED)).astype(int))]
+    z = np.exp(1j * w) if discrete else 1j * w
+    apart = np.abs(z[:, None] - poles).min(axis=1, initial=np.inf)
+    lost = UNCERTAIN * ROUNDING * float(np.abs(poles).max())
+    return z[apart > lost], AGREE + lost / apart[apart > lost]
+
+
+def _agree(G: Array, exact: Array, share: Array) -> bool:
+    """Return whether two responses `(ny, nu, nz)` differ by no more than a share at each point, whatever units are."""
+    if not exact.size:
+        return True
+    size = np.abs(exact).max(axis=2)
+    rows, columns = np.ones(size.shape[0]), np.ones(size.shape[1])
+    for _ in range(SWEEPS):
+        scaled = size * rows[:, None] * columns
+        rows = rows / np.sqrt(_or_one(scaled.max(axis=1)))
+        columns = columns / np.sqrt(_or_one(scaled.max(axis=0)))
+    weight = (rows[:, None] * columns)[:, :, None]
+    off, height = (weight * np.abs(G - exact)).max(axis=(0, 1)), (weight * np.abs(exact)).max(axis=(0, 1))
+    return bool(np.all(off <= share * height))
+
+
+def _or_one(size: Array) -> Array:
+    return np.where(size > 0, size, 1.0)
 
 
 def _inverse(T: Array, z: Array) -> Array:
