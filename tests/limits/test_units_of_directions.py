@@ -5,7 +5,8 @@ import pytest
 from limit_plants import RATE_HZ, modal
 
 from ultraquiet.limits import by_direction
-from ultraquiet.limits.directions import _common, driven
+from ultraquiet.limits.circle import Circle
+from ultraquiet.limits.directions import AllActuators, _common, driven
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, series
 
@@ -87,3 +88,19 @@ def test_a_limit_has_no_order_of_actuators(channels):
     v = np.eye(channels)[:, 0]
     assert np.all(driven(plant, v, QUIET) == v)
     assert np.abs(v @ wired.frequency_response(f)[:, :, 0] @ driven(wired, v, QUIET)) > 0.1
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (4, 3), (3, 5)])
+@pytest.mark.parametrize("draw", range(3))
+def test_what_all_actuators_reach_is_the_plants_own_gain_where_its_poles_crowd(shape, draw):
+    """Three poles within 2 % of each other, five decades below the sampling rate: modes alone are off by a half."""
+    rng, rate_hz = np.random.default_rng(draw), 5e4
+    companion = np.poly(-0.3 * (1 + rng.uniform(0, 0.02, 3)))
+    A = np.eye(3) + np.vstack([-companion[1:], np.eye(2, 3)]) / rate_hz
+    B, C = rng.standard_normal((3, shape[1])) / rate_hz, rng.standard_normal((shape[0], 3))
+    v = np.linalg.qr(rng.standard_normal((shape[0], 1)))[0][:, 0]
+    f = np.geomspace(0.005, 0.5, 40)
+    reached = AllActuators(StateSpace(A, B, C, np.zeros(shape), rate_hz), v, Circle(rate_hz, 0.05))(f).b
+    z = np.exp(2j * np.pi * f / rate_hz)
+    expected = np.linalg.norm(v @ C @ np.linalg.solve(z[:, None, None] * np.eye(3) - A, B.astype(complex)), axis=1)
+    assert np.abs(reached) == pytest.approx(expected, rel=1e-6)
