@@ -5,6 +5,7 @@ import pytest
 
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design import BandAttenuation, LoopShaping, Lqg, MixedSensitivity
+from ultraquiet.linalg import discretize
 from ultraquiet.values import StateSpace
 
 RATE_HZ = 1000.0
@@ -107,3 +108,29 @@ def test_no_default_relies_on_a_coupling(design, coupling, wide):
     KS = K @ np.linalg.inv(np.eye(G.shape[1]) - G @ K)
     size = 0.02 * np.abs(G).max(axis=(1, 2))
     assert (np.linalg.norm(KS, 2, axis=(1, 2)) * size).max() < 1
+
+
+def moving(damping, drift, rate_hz):
+    """Return a mode at 5 Hz and an integrator beside it, `drift` of the mode in size, that moves a state unheard."""
+    w = 2 * np.pi * 5.0
+    A = np.zeros((4, 4))
+    A[:2, :2] = [[-damping * w, w], [-w, -damping * w]]
+    A[2, 3] = w
+    M = A, np.array([[0.0], [w], [0.0], [w]]), np.array([[1.0, 0.0, 0.0, drift]]), np.zeros((1, 1))
+    return StateSpace(*(discretize.zero_order_hold(*M, 1 / rate_hz) if rate_hz else M), rate_hz)
+
+
+@pytest.mark.parametrize("drift", [0.1, 100.0])
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+def test_a_plants_own_band_is_the_same_at_any_rate_beside_a_pole_on_the_boundary(damping, drift):
+    """One bench of 4.9 to 5.1 Hz, sampled at 100 Hz to 100 kHz, was told bands of 0.0005-5.8 to 0.5-316 Hz."""
+    bands = [even_plant(moving(damping, drift, rate_hz)).band_hz for rate_hz in (None, 100.0, 1e3, 1e4, 1e5)]
+    print(bands)
+    # the edges are lines of the grid
+    assert np.allclose(bands, bands[0], rtol=0.05)
+
+
+def test_an_integrator_that_is_hardly_heard_leaves_the_band_of_a_mode_as_it_is():
+    plants = [moving(1e-3, 0.1, 1000.0)]
+    plants.append(StateSpace(plants[0].A[:2, :2], plants[0].B[:2], plants[0].C[:, :2], plants[0].D, 1000.0))
+    assert np.allclose(*(even_plant(plant).band_hz for plant in plants), rtol=2e-3)

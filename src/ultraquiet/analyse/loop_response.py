@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, rising_band
-from ultraquiet.analyse.margins import default_grid, even_inputs, pulled_in
+from ultraquiet.analyse.margins import bounded_grid, bounded_response, default_grid, even_inputs
 from ultraquiet.analyse.peaks import refined, response_at
 from ultraquiet.analyse.plant_scale import unit_peaks
 from ultraquiet.linalg.norms import largest_gains
@@ -179,9 +179,8 @@ def reached_directions(plant: StateSpace) -> Callable[[FloatArray], ComplexArray
     Returns:
         An orthonormal basis of the range of G(f), `(lines, ny, min(ny, nu))`, columns of zeros where its rank is less.
     """
-    seen = pulled_in(plant)
-    of_plant = response_at(seen)
-    y, u = unit_peaks(np.moveaxis(np.abs(of_plant(default_grid(seen)[::SPARSE])) ** 2, 2, 0))
+    of_plant = bounded_response(plant)
+    y, u = unit_peaks(np.moveaxis(np.abs(of_plant(bounded_grid(plant)[::SPARSE])) ** 2, 2, 0))
     y = y[:, None]
 
     def at(f: FloatArray) -> ComplexArray:

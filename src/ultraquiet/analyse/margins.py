@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, some_lines
 from ultraquiet.analyse.norms import hinf_norm
@@ -16,9 +17,11 @@ from ultraquiet.analyse.peaks import (
     diagonal_at,
     ends,
     refined,
+    response_at,
     with_ends,
 )
 from ultraquiet.linalg.even import evened
+from ultraquiet.linalg.modal_response import residues
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.joined.wires import unswapped
@@ -28,7 +31,10 @@ POINTS = 3000  # of the default grid; crossings are interpolated between its poi
 DECADES = 5.0  # the default grid's span below its upper end
 RINGING = 0.01  # relative damping below which a pole gets lines of its own: the grid's step is 0.4 %
 BOUNDARY = 1e-9  # poles this near the stability boundary are on it, relative to their modulus
-PULLED = 5e-3  # of the slowest frequency of the poles: as far inside they are moved, a damping ratio for a resonance
+REST = 1e-7  # per sample: rounding sends the halves of a double integrator so far from one
+ROUNDED = 1e-13  # of the fastest motion, or per sample: so far rounding may send a pole off the boundary
+PULLED = 5e-3  # of the frequency of a pole on the boundary: as near to it a response is measured, a damping ratio
+CLOSE = 150  # lines about a pole at rest, log-spaced, to beyond where what it does has fallen by 20 dB
 _NEAR = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
 BESIDE = np.concatenate([-_NEAR, _NEAR])  # of those lines, in widths of the pole
 
@@ -203,15 +209,30 @@ def default_grid(S: StateSpace) -> FloatArray:
     A pole s = -d + j w makes features as narrow as d, wherever the grid's own lines are: lines stand at several
     multiples of d to both sides of w.
     """
+    size, width = _places(S)
+    return _grid(size, width, _top(S.rate_hz, size))
+
+
+def _places(S: StateSpace) -> tuple[FloatArray, FloatArray]:
+    """Return the frequency and the width of each pole, Hz."""
     poles = S.poles()
     if S.rate_hz is None:
-        size = np.abs(poles) / (2 * np.pi)
-        width = np.abs(poles.real) / (2 * np.pi)
-        top = 10 * float(size.max(initial=1e-3))
-    else:
-        size = np.abs(np.angle(poles)) * S.rate_hz / (2 * np.pi)
-        width = np.abs(np.log(np.maximum(np.abs(poles), np.finfo(float).tiny))) * S.rate_hz / (2 * np.pi)
-        top = S.rate_hz / 2
+        return np.abs(poles) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
+    rates = S.rate_hz * _rates(poles) / (2 * np.pi)
+    return np.abs(rates.imag), np.abs(rates.real)
+
+
+def _rates(poles: ComplexArray) -> ComplexArray:
+    """Return what poles of a sampled system are in continuous time, per sample."""
+    tiny = np.finfo(float).tiny
+    return np.asarray(np.log(np.where(np.abs(poles) < tiny, tiny, poles).astype(np.complex128)), dtype=np.complex128)
+
+
+def _top(rate_hz: float | None, size: FloatArray) -> float:
+    return 10 * float(size.max(initial=1e-3)) if rate_hz is None else rate_hz / 2
+
+
+def _grid(size: FloatArray, width: FloatArray, top: float) -> FloatArray:
     bottom = top * 10**-DECADES
     narrow = width < np.maximum(RINGING * size, bottom)
     beside = (size[narrow, None] + width[narrow, None] * BESIDE).reshape(-1)
@@ -219,19 +240,68 @@ def default_grid(S: StateSpace) -> FloatArray:
     return np.unique(lines)
 
 
-def pulled_in(plant: StateSpace) -> StateSpace:
-    """Return the plant as it is, or with its poles moved inside where one lies on the stability boundary."""
+class Verge(NamedTuple):
+    """The poles of a plant on its stability boundary, in Hz.
+
+    Attributes:
+        on: `(states,)`, which of the poles.
+        hz: their frequencies, zero at rest.
+        radius_hz: how near to each the response is taken as it is.
+    """
+
+    on: NDArray[np.bool_]
+    hz: FloatArray
+    radius_hz: FloatArray
+
+
+def verge(plant: StateSpace) -> Verge:
+    """Return the poles on the stability boundary, and about each the circle on which the response is measured.
+
+    A resonance has a circle of a share of its frequency, a damping ratio so to speak; a pole at rest, of no frequency
+    of its own, of that share of the slowest motion beside it. The rate at which a plant is sampled does not count, but
+    for one that does nothing else than integrate.
+    """
     poles = plant.poles()
-    if plant.rate_hz is None:
-        scale = np.abs(poles)
-        on = np.abs(poles.real) <= BOUNDARY * np.maximum(scale, scale.max(initial=0.0) * BOUNDARY)
-        inside = scale[scale > BOUNDARY * scale.max(initial=0.0)]
-        slowest = float(inside.min(initial=np.inf))
-        move = PULLED * (slowest if np.isfinite(slowest) else 1.0)
-        A = plant.A - move * np.eye(plant.states)
-    else:
-        on = np.abs(np.abs(poles) - 1) <= BOUNDARY
-        turns = np.abs(np.angle(poles[on]))
-        turns = turns[turns > np.sqrt(BOUNDARY)]
-        A = plant.A * (1 - PULLED * min(float(turns.min(initial=1.0)), 1.0))
-    return StateSpace(A, plant.B, plant.C, plant.D, plant.rate_hz) if np.any(on) else plant
+    rates = poles if plant.rate_hz is None else _rates(poles)
+    size = np.abs(rates)
+    unit = float(size.max(initial=0.0)) if plant.rate_hz is None else 1.0
+    rest = size <= (BOUNDARY if plant.rate_hz is None else REST) * unit
+    on = rest | (np.abs(rates.real) <= np.maximum(BOUNDARY * size, ROUNDED * unit))
+    slowest = float(size[~rest].min(initial=np.inf if plant.rate_hz is None else 1.0))
+    radius = PULLED * np.where(rest, slowest if np.isfinite(slowest) else 1.0, size)
+    per_hz = (plant.rate_hz or 1.0) / (2 * np.pi)
+    return Verge(on, np.where(rest, 0.0, np.abs(rates.imag))[on] * per_hz, radius[on] * per_hz)
+
+
+def bounded_response(plant: StateSpace) -> Callable[[FloatArray], ComplexArray]:
+    """Return what gives a plant's response `(ny, nu, nf)` at frequencies in Hz, bounded at poles on the boundary.
+
+    It is the plant's own but in a small circle about each such pole, whose outer half it follows in place of the axis,
+    as a Nyquist contour does.
+    """
+    edge = verge(plant)
+    if not edge.on.any():
+        return response_at(plant)
+    split, rate = residues(plant.A, plant.B, plant.C, plant.D), plant.rate_hz
+
+    def at(f: FloatArray) -> ComplexArray:
+        off = np.sqrt(np.maximum(edge.radius_hz**2 - (f[:, None] - edge.hz) ** 2, 0.0)).max(axis=1)
+        s = 2 * np.pi * (off + 1j * f)
+        return np.asarray(split.at(s if rate is None else np.exp(s / rate)), dtype=np.complex128)
+
+    return at
+
+
+def bounded_grid(plant: StateSpace) -> FloatArray:
+    """Return the `default_grid` for that response; with a pole at rest it begins inside its circle."""
+    edge = verge(plant)
+    size, width = _places(plant)
+    size[edge.on], width[edge.on] = edge.hz, edge.radius_hz
+    lines = _grid(size, width, _top(plant.rate_hz, size))
+    at_rest = edge.radius_hz[edge.hz == 0]
+    if not at_rest.size:
+        return lines
+    # what is nearer to rest is as loud, and another end of the grid would be another band
+    first, last = at_rest.min() * _NEAR[[0, -1]]
+    beyond = lines[lines > first]
+    return np.unique(np.concatenate([np.geomspace(first, max(beyond[0], last), CLOSE), beyond]))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray, frozen, rising_band
 from ultraquiet._base.provenance import ByContents
-from ultraquiet.analyse.margins import default_grid, pulled_in
+from ultraquiet.analyse.margins import bounded_grid, bounded_response
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.linalg.even import evened
 from ultraquiet.values.interconnect import gain, series
@@ -103,8 +103,8 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
         band_hz: a band in place of the plant's own.
         who: asks, for the sentence of a refusal.
 
-    A plant with poles on the stability boundary is measured with all poles a little inside it: there its gain has no
-    bound, and neither a mean nor a band.
+    A pole on the stability boundary, where the gain has no bound, is passed on a small circle (`bounded_response`):
+    without it there would be neither a mean nor a band.
 
     Sinkhorn 1964, doi:10.1214/aoms/1177703591 (rows and columns in turn).
     """
@@ -116,13 +116,12 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
 @lru_cache(maxsize=16)
 def _even(asked: ByContents[StateSpace], band_hz: tuple[float, float] | None) -> EvenPlant:
     plant = asked.value
-    seen = pulled_in(plant)
-    f = default_grid(seen)
+    f = bounded_grid(plant)
     f = f[(f > 0) & (f <= below_nyquist(np.inf, plant.rate_hz))]
     if band_hz is not None:
         low, high = band_hz
         f = np.unique(np.concatenate([f[(f > low) & (f < high)], np.geomspace(low, high, LINES)]))
-    G = np.moveaxis(response_at(seen)(f), 2, 0)
+    G = np.moveaxis(bounded_response(plant)(f), 2, 0)
     power, widths = np.abs(G) ** 2, _widths(f)
     # powers of squares of units many decades apart: the largest of each row and column first
     y, u = unit_peaks(power)

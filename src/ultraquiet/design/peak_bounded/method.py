@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import FloatArray, between, positive, real_arr
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.margins import pulled_in
+from ultraquiet.analyse.margins import bounded_response
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.hinf.band_attenuation import common_mode
@@ -334,7 +334,7 @@ def _inverting(plant: StateSpace, band_hz: tuple[float, float]) -> float:
 
 def _largest_db(plant: StateSpace) -> float:
     """Return the largest gain of a plant in its own band."""
-    return 20 * float(np.log10(principal_gains(response_at(pulled_in(plant))(even_plant(plant).f_hz))[0].max()))
+    return 20 * float(np.log10(principal_gains(bounded_response(plant)(even_plant(plant).f_hz))[0].max()))
 
 
 def _coordinates(

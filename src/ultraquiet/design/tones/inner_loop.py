@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray, numbers
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
-from ultraquiet.analyse.margins import pulled_in
+from ultraquiet.analyse.margins import bounded_response
 from ultraquiet.values.interconnect import feedback, gain, parallel
 from ultraquiet.values.state_space import StateSpace
 
@@ -126,7 +126,7 @@ def inverse(who: str, system: StateSpace, tone_hz: float, weakest: float) -> Inv
     assert system.rate_hz is not None
     U, S, Vh = np.linalg.svd(system.frequency_response([tone_hz])[:, :, 0], full_matrices=False)
     # an integrator has no bound on this grid, and any gain is faint beside it
-    scale = np.abs(pulled_in(system).frequency_response(np.linspace(0, system.rate_hz / 2, COARSE))).max()
+    scale = np.abs(bounded_response(system)(np.linspace(0, system.rate_hz / 2, COARSE))).max()
     if not S[0] > FAINTEST * max(float(scale), np.finfo(float).tiny):
         raise InputError(f"{who}: the plant has no gain at {tone_hz:g} Hz, so no command can cancel that tone.")
     kept = int(np.count_nonzero(weakest * S[0] <= S))
