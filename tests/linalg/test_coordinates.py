@@ -188,3 +188,22 @@ def test_a_point_on_a_pole_is_beside_it_by_rounding():
     form = balance.Coordinates(A, np.ones((2, 1)), np.ones((1, 2)), np.eye(2), np.eye(2), (2,))
     at = modal_response.split(form, np.zeros((1, 1))).at(np.array([0.6 + 0.8j]))
     assert 1e14 < np.abs(at).max() < 1e17
+
+
+def test_states_of_a_large_block_are_scaled_and_small_blocks_stay_as_they_are(rng):
+    """Eight tied states decades apart beside a mode: the block is as large as its poles, the response the same."""
+    d = np.exp2(np.arange(0, 24, 3))
+    tied = (0.5 * np.eye(8) + np.diag(np.ones(7), 1)) * d / d[:, None]
+    A = block_diag([[0.8, 0.5], [-0.5, 0.8]], tied)
+    B, C = np.vstack([rng.standard_normal((2, 3)), np.ones((8, 3)) / d[:, None]]), rng.standard_normal((4, 10))
+    C[:, 2:] *= d
+    form = balance.Coordinates(A, B, C, np.eye(10), np.eye(10), (2, 8))
+    even = balance.even_blocks(form)
+    assert np.linalg.norm(even.A) < 5 < np.linalg.norm(A)
+    assert np.array_equal(even.A[:2], A[:2])
+    assert np.array_equal(even.T @ even.inverse, np.eye(10))
+    assert np.array_equal(even.inverse @ A @ even.T, even.A)
+    z = np.exp(1j * np.linspace(0.0, np.pi, 9))
+    assert np.allclose(*(modal_response.split(each, np.zeros((4, 3))).at(z) for each in (form, even)), rtol=1e-9)
+    alone = form._replace(A=A[:2, :2], B=B[:2], C=C[:, :2], T=np.eye(2), inverse=np.eye(2), blocks=(2,))
+    assert balance.even_blocks(alone) is alone

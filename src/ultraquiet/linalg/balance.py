@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.linalg.equations import lyapunov_both, stein, stein_factor
-from ultraquiet.linalg.even import even_states
+from ultraquiet.linalg.even import even_scale, even_states
 from ultraquiet.linalg.ordered import Array, Matrices, leading_subspace, ordered_schur, real_schur, real_schur_values
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
@@ -24,6 +24,7 @@ NEAREST = 1e-6  # conjugates are no nearer to the boundary than each other
 HIDDEN = 1e-12  # of the largest Hankel value: below it a state is moved or seen by round-off alone
 SLOWED = 1.1  # the shortest memory in which states that grow or stay are told apart
 PARALLEL = 1e-6  # eigenvectors of unit size whose product is this near one count as parallel
+PAIR = 2  # states of a block of one mode
 ROOT_TWO = np.sqrt(2.0)
 
 
@@ -46,6 +47,20 @@ def modal(A: Array, B: Array, C: Array) -> Coordinates:
     """
     T, inverse, sizes = _separated(A)
     return _even(inverse @ A @ T, inverse @ B, C @ T, T, inverse, sizes)
+
+
+def even_blocks(form: Coordinates) -> Coordinates:
+    """Return modal coordinates with the states of large blocks scaled by powers of two, as `even_states` does.
+
+    A real Schur block of states that differ by decades is as large as their ratio, and so is what it costs to round it.
+    """
+    large = np.repeat(np.array(form.blocks, dtype=int), form.blocks) > PAIR
+    if not large.any():
+        return form
+    d = np.where(large, even_scale(form.A, form.B, form.C), 1.0)
+    return Coordinates(
+        form.A * d / d[:, None], form.B / d[:, None], form.C * d, form.T * d, form.inverse / d[:, None], form.blocks
+    )
 
 
 def gramians(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:

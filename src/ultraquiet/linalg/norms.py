@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
-from ultraquiet.linalg.balance import modal, stable_first
+from ultraquiet.linalg.balance import Coordinates, even_blocks, modal, stable_first
 from ultraquiet.linalg.discretize import bilinear_to_continuous
 from ultraquiet.linalg.equations import lyapunov, stein
 from ultraquiet.linalg.even import even_states
@@ -14,11 +14,9 @@ from ultraquiet.linalg.ordered import Array
 
 ROUNDS = 30
 # An eigenvalue counts as imaginary when its real part is below this share of its modulus: generous, because each
-# candidate is then judged by the gain it stands for and not by its place.
-AXIS_SHARE = 1e-4
-# Nearly parallel modes cancel: a modal form whose B and C are so many times larger than those of even coordinates does
-# not say alone where a level is crossed.
-CANCELLING = 10.0
+# candidate is then judged by the gain it stands for and not by its place: rounding of poles that are nearly repeated
+# sends a crossing further off the axis than its damping, and any point of an interval above the level raises it.
+AXIS_SHARE = 1e-2
 # First guesses closer than 2 % are one, but for resonances sharper than that.
 DISTINCT = 0.02
 SHARP = 0.05
@@ -62,7 +60,7 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
     if poles.size and growth.max() >= 0:
         worst = poles[np.argmax(growth)]
         return np.inf, float(abs(np.angle(worst)) if discrete else abs(worst.imag))
-    gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(A, B, C, D, tolerance)
+    gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(modal(A, B, C), D, (A, B, C), tolerance)
     gain, w = _refined(A, B, C, D, discrete, poles, gain, w, max(tolerance, DISAGREE))
     return (refined_gain(A, B, C, D, np.exp(1j * w) if discrete else 1j * w) if np.isfinite(w) else gain), w
 
@@ -271,7 +269,8 @@ def _mapped_peak(A: Array, B: Array, C: Array, D: Array, poles: Array, tolerance
     turned = poles.size and np.abs(poles + 1).min() < np.abs(poles - 1).min()
     turn = -1.0 if turned else 1.0
     given = bilinear_to_continuous(turn * A, turn * B, C, D)
-    gain, w = _peak(*bilinear_to_continuous(turn * form.A, turn * form.B, form.C, D), tolerance, given[:3])
+    a, b, c, d = bilinear_to_continuous(turn * form.A, turn * form.B, form.C, D)
+    gain, w = _peak(form._replace(A=a, B=b, C=c), d, given[:3], tolerance)
     angle = float(2 * np.arctan(w))
     return gain, np.pi - angle if turned else angle
 
@@ -311,32 +310,33 @@ def axis_mean_square(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
     return float(np.hypot(kept, mean_square_gain(a, b, c, np.zeros(D.shape), discrete)))
 
 
-def _peak(
-    A: Array, B: Array, C: Array, D: Array, tolerance: float, given: tuple[Array, Array, Array] | None = None
-) -> tuple[float, float]:
-    """Return the peak of a continuous system; `given` is the same one in coordinates that are not modal."""
+def _peak(form: Coordinates, D: Array, given: tuple[Array, Array, Array], tolerance: float) -> tuple[float, float]:
+    """Return the peak of a continuous system in modal coordinates; `given` is the same one in others."""
     direct = float(np.linalg.norm(D, 2)) if D.size else 0.0
-    if A.shape[0] == 0 or not np.any(B) or not np.any(C):
+    if not (form.A.size and np.any(form.B) and np.any(form.C)):
         return direct, 0.0
-    form, even = modal(A, B, C), even_states(*(given or (A, B, C)))[:3]
-    forms = [(form.A, form.B, form.C)]
-    modal_size, even_size = (np.linalg.norm(b) * np.linalg.norm(c) for _, b, c in (*forms, even))
-    if modal_size > CANCELLING * even_size:
-        forms.append(even)
+    form = even_blocks(form)
     gain = _Gain(split(form, D))
     best, at = gain.climb(_guesses(np.linalg.eigvals(form.A)), direct, np.inf)
     if best == 0:
         return 0.0, 0.0
+    # coordinates round differently: that nothing is higher counts once both say so
+    forms = [(form.A, form.B, form.C), even_states(*given)[:3]]
+    agreed = 0
     for _ in range(ROUNDS):
-        best, at = gain.polish(best, at)
+        best, at = gain.polish(best, at) if not agreed else (best, at)
         level = best * (1 + 2 * tolerance)
-        crossings = np.unique(np.concatenate([_crossings(*each, D, level) for each in forms]))
-        middle = np.sqrt(crossings[:-1] * crossings[1:])
-        higher, where = gain.climb(np.concatenate([crossings, middle]), best, at)
-        if higher <= level:
-            return higher, where
-        best, at = higher, where
+        best, at = gain.climb(_between_crossings(*forms[agreed], D, level), best, at)
+        agreed = agreed + 1 if best <= level else 0
+        if agreed == len(forms):
+            break
     return best, at
+
+
+def _between_crossings(A: Array, B: Array, C: Array, D: Array, level: float) -> Array:
+    """Return the frequencies at which a singular value may equal `level`, and those between them."""
+    crossings = _crossings(A, B, C, D, level)
+    return np.concatenate([crossings, np.sqrt(crossings[:-1] * crossings[1:])])
 
 
 def _guesses(poles: Array) -> Array:
