@@ -19,7 +19,8 @@ def hinf_norm(G: StateSpace, tolerance: float = 1e-7) -> tuple[float, float]:
 
     Returns:
         `(norm, f_hz)`: the norm in output units per input unit; infinity for an unstable system, at the frequency of
-        its fastest growing mode. `f_hz` is infinite when a continuous gain is approached only as f grows.
+        its fastest growing mode, or of one that rounding does not tell from the stability boundary. `f_hz` is infinite
+        when a continuous gain is approached only as f grows.
 
     The number is the greatest amplification of energy from any input to the output. It is exact: the level climbs until
     a Hamiltonian has no imaginary eigenvalue left, so no grid of frequencies can miss a peak.
@@ -31,8 +32,18 @@ def hinf_norm(G: StateSpace, tolerance: float = 1e-7) -> tuple[float, float]:
 
     Bruinsma and Steinbuch 1990, doi:10.1016/0167-6911(90)90049-Z.
     """
+    if G.boundary_hz().size:
+        return np.inf, _slowest_hz(G)
     gain, w = norms.peak_gain(G.A, G.B, G.C, G.D, G.rate_hz is not None, tolerance)
     return gain, w / (2 * np.pi) * (1.0 if G.rate_hz is None else G.rate_hz)
+
+
+def _slowest_hz(G: StateSpace) -> float:
+    """Return the frequency of the pole that grows fastest, or decays most slowly."""
+    poles = G.poles()
+    if G.rate_hz is None:
+        return float(abs(poles[np.argmax(poles.real)].imag)) / (2 * np.pi)
+    return float(abs(np.angle(poles[np.argmax(np.abs(poles))]))) * G.rate_hz / (2 * np.pi)
 
 
 @takes_systems
@@ -50,6 +61,8 @@ def h2_norm(G: StateSpace) -> float:
     >>> round(h2_norm(StateSpace([[0.6]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1.0)), 6)
     1.25
     """
+    if G.boundary_hz().size:
+        return float(np.inf)
     return norms.mean_square_gain(G.A, G.B, G.C, G.D, G.rate_hz is not None)
 
 

@@ -11,6 +11,7 @@ from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
 from ultraquiet.analyse.margins import even_sensitivity
 from ultraquiet.analyse.plant_scale import even_plant
+from ultraquiet.design.instability import unstable
 from ultraquiet.design.robustness import DISK_MARGIN, UNSTABLE_LAW, WIDEST, both_ends, kept
 from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_in
 from ultraquiet.values.channel import ratio
@@ -119,8 +120,11 @@ def analyse_loop(
     peaks = {
         name: _peak(wide[key], plant, scales, name) for name, key in zip(members, ("So", "To", "KSo"), strict=True)
     }
-    status = _verdict(plant, margins, peaks["S"], gang.stable, asked)
-    if gang.stable:
+    if not gang.stable:
+        said = unstable(plant, controller, gang.So)
+        status = Status(StatusWord.UNSTABLE, f"{said}; the law must not run on this plant.")
+    else:
+        status = _verdict(plant, margins, peaks["S"], asked)
         law = [] if controller.is_stable() else [f"The controller is {UNSTABLE_LAW}."]
         status = Status(status.word, " ".join([status.sentence, *law, worst.sentences]))
     slowest = _slowest(even_sensitivity(plant, controller, "output"))
@@ -138,11 +142,7 @@ def analyse_loop(
     )
 
 
-def _verdict(
-    plant: StateSpace, margins: Mapping[str, EndMargins], peak: MemberPeak, stable: bool, asked: float
-) -> Status:
-    if not stable:
-        return Status(StatusWord.UNSTABLE, "The loop is unstable; the law must not run on this plant.")
+def _verdict(plant: StateSpace, margins: Mapping[str, EndMargins], peak: MemberPeak, asked: float) -> Status:
     loudest = f"it amplifies by at most {rounded(peak.gain_db)} dB, at {hertz(peak.f_hz)}; "
     return kept(plant, margins, asked, loudest)
 

@@ -8,7 +8,8 @@ from ultraquiet._base.provenance import Provenance, plain, versions
 from ultraquiet._base.shown.line import counted, fall, hertz, rounded
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.margins import peak_sensitivity
-from ultraquiet.design.result import DesignResult, is_stable
+from ultraquiet.design.instability import unstable
+from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import UNSTABLE_LAW, StatedRobustness, both_ends, fragility, keeps, stated
 from ultraquiet.design.worst_direction import design_band, worst_direction
 from ultraquiet.values.interconnect import feedback
@@ -32,13 +33,15 @@ def judged(
     direction over the design's own band, and which directions of the sensors the actuators do not reach: on most plants
     with sharp modes a loop that makes the readings quieter is louder in some direction between the modes.
     """
-    poles = feedback(plant, controller).poles()
+    loop = feedback(plant, controller)
+    poles = loop.poles()
     peak_db, peak_hz = peak_sensitivity(plant, controller)
-    stable = is_stable(poles, plant.rate_hz)
     margins = both_ends(plant, controller)
     peak = f"it amplifies by at most {rounded(peak_db)} dB, at {hertz(peak_hz)}"
-    verdict = _unstable()
-    if stable:
+    if not loop.is_stable():
+        said = unstable(plant, controller, loop, "loop with the design model")
+        verdict = Status(StatusWord.UNSTABLE, f"{said}; the controller must not be used.")
+    else:
         verdict = _verdict(plant, controller, settings.disk_margin, margins, peak)
         worst = worst_direction(plant, controller, design_band(settings, details))
         verdict = Status(verdict.word, " ".join([verdict.sentence, *_fallen(details), worst.sentences]))
@@ -54,10 +57,6 @@ def judged(
         details={**details, "peak_sensitivity_hz": peak_hz},
         provenance=_provenance(plant, settings),
     )
-
-
-def _unstable() -> Status:
-    return Status(StatusWord.UNSTABLE, "The loop with the design model is unstable; the controller must not be used.")
 
 
 def _verdict(

@@ -13,6 +13,7 @@ from ultraquiet._base.provenance import ByContents, Provenance, content_hash
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet._base.shown.grid import gain_curve
 from ultraquiet.linalg import realize, response
+from ultraquiet.linalg.modes import boundary
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.joined.algebra import Algebra, Matrices, Wires
@@ -111,9 +112,26 @@ class StateSpace(Shown, Algebra, SystemNeighbours):
         return _poles(ByContents(self.A, content_hash(self.A))).copy()
 
     def is_stable(self) -> bool:
-        """Return whether every pole lies strictly inside the stability region."""
+        """Return whether every pole lies inside the stability region, by more than the rounding of A decides."""
         poles = self.poles()
-        return bool(np.all(poles.real < 0) if self.rate_hz is None else np.all(np.abs(poles) < 1))
+        inside = bool(np.all(poles.real < 0) if self.rate_hz is None else np.all(np.abs(poles) < 1))
+        return inside and not self._on_boundary().size
+
+    def boundary_hz(self) -> FloatArray:
+        """Return the frequencies in Hz of poles that no digit of A tells from the stability boundary, rising.
+
+        0 Hz is an integrator. Units of inputs, outputs, states and time do not count. Such a system is not stable: what
+        it does to a lasting input of that frequency grows without end, or as good as that.
+
+        >>> StateSpace([[1.0, 0.0], [1.0, 0.5]], [[1.0], [0.0]], [[0.0, 1.0]], [[0.0]], rate_hz=1.0).boundary_hz()
+        array([0.])
+        """
+        points = self._on_boundary()
+        turns = points.imag if self.rate_hz is None else np.angle(points) * self.rate_hz
+        return np.unique(np.abs(turns) / (2 * np.pi))
+
+    def _on_boundary(self) -> ComplexArray:
+        return _on_boundary(ByContents(self.A, content_hash(self.A)), self.rate_hz is not None)
 
     def simulate(self, inputs: ArrayLike, x0: ArrayLike | None = None) -> FloatArray:
         """Return the outputs `(ny, n)` to inputs `(nu, n)`, from state `x0` (zero when absent); discrete time only."""
@@ -174,3 +192,8 @@ class StateSpace(Shown, Algebra, SystemNeighbours):
 @lru_cache(maxsize=64)
 def _poles(A: ByContents[FloatArray]) -> ComplexArray:
     return np.linalg.eigvals(A.value).astype(np.complex128)
+
+
+@lru_cache(maxsize=64)
+def _on_boundary(A: ByContents[FloatArray], discrete: bool) -> ComplexArray:
+    return frozen(boundary.on_boundary(A.value, _poles(A), discrete))

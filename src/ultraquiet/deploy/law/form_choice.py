@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.deploy.law.law import Law, loop_coupling
 from ultraquiet.deploy.law.realisation import FORMS
+from ultraquiet.linalg.modes.boundary import on_boundary
 from ultraquiet.values.state_space import StateSpace
 
 # 0.5 % of the response or of the loop's sensitivity: 0.04 dB, a tenth of what identification resolves.
@@ -121,16 +122,26 @@ def sensitivities(controller: StateSpace, rounded: StateSpace, plant: StateSpace
 
 
 def loop_radius(plant: StateSpace, controller: StateSpace) -> float:
-    """Return the largest pole magnitude of y = G u, u = K y."""
-    return float(np.abs(_loop_poles(plant, controller)).max(initial=0.0))
+    """Return the largest pole magnitude of y = G u, u = K y; one at least where rounding decides that it is inside."""
+    A = _closed(plant, controller)
+    poles = _poles(A)
+    radius = float(np.abs(poles).max(initial=0.0))
+    return max(radius, 1.0) if on_boundary(A, poles, discrete=True).size else radius
 
 
 def _loop_poles(plant: StateSpace, controller: StateSpace) -> ComplexArray:
+    return _poles(_closed(plant, controller))
+
+
+def _poles(A: FloatArray) -> ComplexArray:
+    return np.linalg.eigvals(A).astype(np.complex128) if A.size else np.zeros(0, dtype=np.complex128)
+
+
+def _closed(plant: StateSpace, controller: StateSpace) -> FloatArray:
     coupling = loop_coupling(plant, controller)
     y_g, y_k = coupling @ plant.C, coupling @ plant.D @ controller.C
     u_g, u_k = controller.D @ y_g, controller.C + controller.D @ y_k
-    A = np.block([[plant.A + plant.B @ u_g, plant.B @ u_k], [controller.B @ y_g, controller.A + controller.B @ y_k]])
-    return np.linalg.eigvals(A).astype(np.complex128) if A.size else np.zeros(0, dtype=np.complex128)
+    return np.block([[plant.A + plant.B @ u_g, plant.B @ u_k], [controller.B @ y_g, controller.A + controller.B @ y_k]])
 
 
 def _grid(poles: ComplexArray, rate_hz: float) -> FloatArray:

@@ -218,7 +218,7 @@ class Lqg(StatedRobustness):
         except InputError as error:
             return refused(f"Lqg: {error}{_advice(P, ny, nu)}")
         if not firm:
-            said = "the loop hangs on rounding errors: stable where it is closed at the outputs, not at the inputs."
+            said = "the loop hangs on rounding errors: no digit tells on which side of the stability boundary it is."
             return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
         recovered = recovery(self.recovery_at, even, parts.loop, core, P, solution)
         details = {"recovery": recovered, "weights": self.weights(plant)}
