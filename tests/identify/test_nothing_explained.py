@@ -70,6 +70,20 @@ def test_noise_that_rings_is_explained_by_no_input(method, rng):
     assert not found.status.ok
 
 
+@pytest.mark.draws(false_alarm=1e-3)  # one test at the level of a thousandth
+@pytest.mark.parametrize("stable", [True, False])
+def test_what_a_noise_model_tells_of_an_output_is_not_the_inputs(stable, rng):
+    """Two modes under a little noise of the sensor: an autoregression knows less of them than a model of the noise."""
+    hidden, poles = rng.standard_normal((1, 3000)), (np.exp(-0.004 + 0.125j), np.exp(-0.013 + 0.44j))
+    modes = [np.asarray(lfilter([abs(1 - p) ** 2], np.poly([p, p.conj()]).real, hidden)) for p in poles]
+    y = 1e-6 * np.sum(modes, axis=0)
+    y = y + 0.05 * y.std() * rng.standard_normal(y.shape)
+    record = uq.Record(1e3 * rng.standard_normal((1, 3000)), y, 100.0)
+    found = uq.identify.PredictorSubspace(order=4, stable=stable).identify(record)
+    print(found.fit_percent, found.status)
+    assert found.status.word == "poor fit"
+
+
 @pytest.mark.parametrize("method", FOUND)
 @pytest.mark.parametrize("colour", [0.0, 0.95])
 def test_a_slow_mode_under_loud_noise_is_not_called_nothing(method, colour, rng):

@@ -88,8 +88,9 @@ def judged(
         _verdict(search, p, q if search.predicts else 1.0, spare, len(system.A), i in growing_outputs, noiseless(share))
         for i, (p, q, share) in enumerate(zip(free, white, shares, strict=True))
     ]
-    if search.predicts or system.stable():  # of an unstable model nothing is simulated
-        statuses = [_unless_silent(*each, system) for each in zip(statuses, free, data.y, tested, strict=True)]
+    told = _explained(system, data, v, e, search.predicts)
+    if told is not None:
+        statuses = [_unless_silent(*each, data.samples, system) for each in zip(statuses, free, told, strict=True)]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
     spread, no_band = _spread(model, record, data, search)
@@ -110,11 +111,24 @@ def judged(
     )
 
 
-def _unless_silent(status: Status, free: float, y: FloatArray, error: FloatArray, system: System) -> Status:
+def _explained(system: System, data: Scaled, v: FloatArray, e: FloatArray, predicts: bool) -> list[float] | None:
+    """Return the share of each output that the inputs explain; None of an unstable model that simulates.
+
+    The simulated error is set beside the outputs; of an unstable model, which has none, the one-step error beside what
+    it would be without the inputs. A one-step error beside the outputs is no measure: a model of the noise tells more
+    of them by their past than the autoregression that compares the two, and that is none of what the inputs explain.
+    """
+    if not (predicts or system.stable()):
+        return None
+    pair = (data.y, v) if system.stable() else (e + system.predicted_from_inputs(data.u), e)
+    return [chance.explained(y, error) for y, error in zip(*pair, strict=True)]
+
+
+def _unless_silent(status: Status, free: float, share: float, samples: int, system: System) -> Status:
     """Return the verdict on one output, that its inputs explain no more than chance would before spare modes."""
-    share, numbers = chance.explained(y, error), chance.numbers_of(len(system.A), system.B.shape[1])
-    spare = status.word is StatusWord.NOT_CONVERGED and chance.by_chance(share, y.size, numbers)
-    return chance.silence(share) if spare else chance.unless_silent(status, share, y.size, numbers, free)
+    numbers = chance.numbers_of(len(system.A), system.B.shape[1])
+    spare = status.word is StatusWord.NOT_CONVERGED and chance.by_chance(share, samples, numbers)
+    return chance.silence(share) if spare else chance.unless_silent(status, share, samples, numbers, free)
 
 
 def _spread(

@@ -87,6 +87,11 @@ class System:
         B = np.hstack([self.B - self.K @ self.D, self.K])
         return v - response.simulate(inner, B, self.C, np.hstack([self.D, none]), np.vstack([u, v]), self.x0)
 
+    def predicted_from_inputs(self, u: FloatArray) -> FloatArray:
+        """Return what the inputs alone, from rest, are to the one-step prediction: bounded if the plant is not, too."""
+        inner = self.A - self.K @ self.C
+        return response.simulate(inner, self.B - self.K @ self.D, self.C, self.D, u, np.zeros(len(inner)))
+
     def stable(self) -> bool:
         """Return whether every pole is inside the radius that finished models keep."""
         return bool(np.all(np.abs(np.linalg.eigvals(self.A)) <= STABLE_RADIUS))
