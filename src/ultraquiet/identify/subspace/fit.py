@@ -8,11 +8,12 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify.result import NO_NOISE
 from ultraquiet.identify.subspace import gauss_newton, modal_least_squares
+from ultraquiet.identify.subspace.gauss_newton import INTEGRATING, ROUNDED, STABLE_RADIUS
 from ultraquiet.linalg import response
 from ultraquiet.linalg.polynomial_roots import mirrored_inside
 from ultraquiet.values import Record
 
-STABLE_RADIUS = 0.99999  # at 3.5 kHz a decay of 30 s: poles beyond are mirrored, the model must simulate
+UNTOLD = 1.0  # decay of a real pole over the whole record, in its logarithm, below which it may be an integrator's
 PARALLEL = 1e9  # condition of eigenvectors beyond which modal coordinates hold no digits
 GAIN_ROUNDS = 6  # of regression on the innovations of the round before
 
@@ -94,7 +95,7 @@ class System:
 
     def stable(self) -> bool:
         """Return whether every pole is inside the radius that finished models keep."""
-        return bool(np.all(np.abs(np.linalg.eigvals(self.A)) <= STABLE_RADIUS))
+        return bool(np.all(np.abs(np.linalg.eigvals(self.A)) <= INTEGRATING + ROUNDED))
 
     def predicts(self) -> bool:
         """Return whether the predictor forgets its past."""
@@ -130,13 +131,25 @@ class SystemFit(NamedTuple):
     converged: bool
 
 
+def poles_inside(values: ComplexArray) -> ComplexArray:
+    """Return poles mirrored into the circle, none nearer to it than 1 - STABLE_RADIUS but for one that integrates.
+
+    >>> poles_inside(np.array([1.0, 0.5 + 0j])).tolist(), poles_inside(np.array([1.0, 1.0 + 0j])).tolist()
+    ([(0.99999999+0j), (0.5+0j)], [(0.99999+0j), (0.99999+0j)])
+    """
+    inside = mirrored_inside(values, INTEGRATING)
+    slow = (np.abs(inside.imag) <= modal_least_squares.IMAGINARY) & (inside.real > STABLE_RADIUS)
+    kept = slow if np.count_nonzero(slow) == 1 else np.zeros_like(slow)
+    return np.where(kept, inside, mirrored_inside(inside, STABLE_RADIUS))
+
+
 def modes_of(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return the poles of the upper half plane, drawn inside the circle, output directions `(ny, m)` of unit size.
 
     The third holds the states `(n, m)` of these directions.
     """
     values, vectors = np.linalg.eig(A)
-    values = mirrored_inside(values.astype(np.complex128), STABLE_RADIUS)
+    values = poles_inside(values.astype(np.complex128))
     real = np.abs(values.imag) <= modal_least_squares.IMAGINARY
     kept = np.concatenate([np.flatnonzero(~real & (values.imag > 0)), np.flatnonzero(real)])
     count = int(np.count_nonzero(~real & (values.imag > 0)))
@@ -159,15 +172,41 @@ def system(modes: modal_least_squares.Modes) -> System:
 
 
 def refined_simulation(start: System, data: Scaled, options: Options) -> SystemFit:
-    """Return the system of least simulated error."""
-    drive = np.hstack([start.B, start.x0[:, None]])
-    at = gauss_newton.BlockModel.of(start.A, drive, start.C, options.direct(start))
+    """Return the system of least simulated error.
+
+    Where noise draws the slowest pole beyond the circle no minimum lies inside: the search is then one with an
+    integrator, whose pole is held.
+    """
     signals = gauss_newton.Signals.of(data.u, data.u, data.y, options.feedthrough, options.offset)
-    outcome = gauss_newton.search(at, signals, options.weighted, options.steps, lambda p: p.radius <= STABLE_RADIUS)
-    A, B, C = outcome.point.matrices()
-    D, constant = options.parts(outcome.point.direct, len(data.u))
-    none = np.zeros((len(A), len(C)))
-    return SystemFit(System(A, B[:, :-1], C, D, none, B[:, -1], constant), outcome.steps, outcome.converged)
+
+    def searched(start: System) -> tuple[SystemFit, float]:
+        drive = np.hstack([start.B, start.x0[:, None]])
+        at = gauss_newton.BlockModel.of(start.A, drive, start.C, options.direct(start))
+        outcome = gauss_newton.search(at, signals, options.weighted, options.steps, gauss_newton.BlockModel.inside)
+        A, B, C = outcome.point.matrices()
+        D, constant = options.parts(outcome.point.direct, len(data.u))
+        found = System(A, B[:, :-1], C, D, np.zeros((len(A), len(C))), B[:, -1], constant)
+        return SystemFit(found, outcome.steps, outcome.converged), outcome.loss
+
+    free, loss = searched(start)
+    integrating = with_an_integrator(free.system, data.samples)
+    if integrating is None:
+        return free
+    held, lower = searched(integrating)
+    return (held if lower < loss else free)._replace(steps=free.steps + held.steps)
+
+
+def with_an_integrator(system: System, samples: int) -> System | None:
+    """Return the system, its one real pole that a record of so many samples may not tell from 1 put there.
+
+    None where there is no such pole, or more: two integrators in a row have no modal form.
+    """
+    values, vectors = (x.astype(np.complex128) for x in np.linalg.eig(system.A))
+    slow = np.flatnonzero((values.imag == 0) & (samples * (1.0 - values.real) < UNTOLD))
+    if slow.size != 1 or values[slow[0]].real >= INTEGRATING - ROUNDED:
+        return None
+    values[slow[0]] = INTEGRATING
+    return replace(system, A=(vectors @ np.diag(values) @ np.linalg.inv(vectors)).real)
 
 
 def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> SystemFit:
@@ -196,10 +235,21 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] - settled @ constant, constant)
 
     def admissible(at: gauss_newton.BlockModel) -> bool:
-        return at.radius <= STABLE_RADIUS and (not stable or system_at(at).stable())
+        most = 1.0 + UNTOLD / data.samples  # an integrator's pole that noise has drawn over the circle
+        return at.inside() and (not stable or np.abs(np.linalg.eigvals(system_at(at).A)).max() <= most)
 
     outcome = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
-    return SystemFit(system_at(outcome.point), outcome.steps, outcome.converged)
+    found = system_at(outcome.point)
+    return SystemFit(with_poles_inside(found) if stable else found, outcome.steps, outcome.converged)
+
+
+def with_poles_inside(start: System) -> System:
+    """Return the system with its poles inside the circle, all else as it was."""
+    if np.abs(np.linalg.eigvals(start.A)).max() <= STABLE_RADIUS:
+        return start
+    values, vectors = np.linalg.eig(start.A)
+    inside = poles_inside(values.astype(np.complex128))
+    return replace(start, A=(vectors @ np.diag(inside) @ np.linalg.inv(vectors)).real)
 
 
 def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:

@@ -30,6 +30,12 @@ RIDGE = 1e-13  # on unit-diagonal normal matrices: keeps their factors finite, m
 # A pair whose turn in a sample is this share of its decay, or less, is as good as two real poles.
 NEARLY_REAL = 1.0
 NARROWEST = 1e-3  # smallest sigma, as a share of a block's decay
+STABLE_RADIUS = 0.99999  # at 3.5 kHz a decay of 30 s: no block of two goes beyond, the model must simulate
+# Modulus of a real pole that is an integrator's. At 3.5 kHz it decays within eight hours: no record tells it from one,
+# and yet the model simulates and has a response at every frequency.
+INTEGRATING = 1.0 - 1e-8
+AT_THE_EDGE = 1e-3  # decay of a single pole over the whole record, in its logarithm, below which it moves no error
+ROUNDED = 1e-9  # of a modulus, by which the matrices of a model may lose it
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +78,15 @@ class BlockModel:
         """Sum of products of the errors, `(ny, ny)`."""
         return self.G[-len(self.c) :, -len(self.c) :]
 
-    @property
-    def radius(self) -> float:
-        """Largest modulus of a pole."""
+    def inside(self) -> bool:
+        """Return whether every pole is inside the circle as far as a model must be: a single one may integrate."""
         root = np.sqrt((self.kappa * self.sigma**2).astype(np.complex128))
-        return float(np.maximum(np.abs(self.tau + root), np.abs(self.tau - root)).max())
+        size = np.maximum(np.abs(self.tau + root), np.abs(self.tau - root))
+        return bool(np.all(size <= np.where(self.sigma > 0, STABLE_RADIUS, INTEGRATING)))
+
+    def at_the_edge(self, samples: int) -> NDArray[np.bool_]:
+        """Return which blocks are single poles that do not decay over so many samples, `(m,)`."""
+        return (self.sigma == 0) & (samples * (1.0 - np.abs(self.tau)) < AT_THE_EDGE)
 
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return A, the input matrix of the driving signals and C."""
@@ -90,16 +100,19 @@ class BlockModel:
 
     @classmethod
     def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, direct: FloatArray) -> "BlockModel":
-        """Return the blocks of a system whose A can be diagonalised; real poles are paired with their neighbours."""
+        """Return the blocks of a system whose A can be diagonalised; real poles are paired with their neighbours.
+
+        Those nearer the circle than a block of two may be stay single.
+        """
         values, vectors = (x.astype(np.complex128) for x in np.linalg.eig(A))
         into: ComplexArray = np.linalg.inv(vectors) @ B
         out: ComplexArray = C @ vectors
         blocks = [_pair(values[k], into[k], out[:, k]) for k in np.flatnonzero(values.imag > 0)]
-        real = [int(k) for k in np.argsort(values.real) if values[k].imag == 0]
+        single = np.flatnonzero((values.imag == 0) & (np.abs(values) > STABLE_RADIUS)).tolist()
+        real = [int(k) for k in np.argsort(values.real) if values[k].imag == 0 and k not in single]
         for i in range(0, len(real) - 1, 2):
             blocks.append(_two(values[real[i : i + 2]].real, into[real[i : i + 2]].real, out[:, real[i : i + 2]].real))
-        if len(real) % 2:
-            k = real[-1]
+        for k in (real[-1:] if len(real) % 2 else []) + single:
             none = np.zeros_like(into[k].real)
             c = np.stack([out[:, k].real, np.zeros(len(C))], axis=1)
             blocks.append((float(values[k].real), 0.0, 0.0, np.stack([into[k].real, none]), c))
@@ -124,11 +137,12 @@ def _two(p: FloatArray, b: FloatArray, c: FloatArray) -> _Block:
 
 
 class SearchOutcome(NamedTuple):
-    """Where the search ended; `converged` says that no step is left that matters."""
+    """Where the search ended, of what loss; `converged` says that no step is left that matters."""
 
     point: BlockModel
     steps: int
     converged: bool
+    loss: float
 
 
 def search(
@@ -140,17 +154,26 @@ def search(
 ) -> SearchOutcome:
     """Lower log det of the error covariance (`weighted`) or the log of its trace, by Levenberg-Marquardt.
 
-    A step that is not admissible is damped like one that raises the loss.
+    A step that is not admissible is damped like one that raises the loss. Poles at the edge are held where that leaves
+    no step: noise has drawn the minimum beyond the circle, and with them all else would stand still.
     """
     damping, done, slow = DAMPING, 0, 0
     point = evaluated(start, signals)
     loss = _loss(point, signals, weighted)
+    held = np.zeros(len(start.tau), dtype=bool)
     while done < steps:
-        equations = _Normal(_even(point), signals, weighted)
+        equations = _Normal(_even(point), signals, weighted, held)
         while True:
             step, gain = equations.step(damping)
+            if (gain < TOLERANCE and damping >= TRUSTED) or damping > MOST_DAMPING:
+                edge = held | point.at_the_edge(signals.outputs.shape[1])
+                if np.array_equal(edge, held):
+                    return SearchOutcome(point, done, False, loss)
+                held, damping = edge, DAMPING
+                equations = _Normal(_even(point), signals, weighted, held)
+                continue
             if gain < TOLERANCE:
-                return SearchOutcome(point, done, damping < TRUSTED)
+                return SearchOutcome(point, done, True, loss)
             trial = equations.moved(step)
             if admissible(trial):
                 other = evaluated(trial, signals)
@@ -158,14 +181,12 @@ def search(
                 if lower < loss:
                     break
             damping *= STIFFENED
-            if damping > MOST_DAMPING:
-                return SearchOutcome(point, done, False)
         slow = slow + 1 if loss - lower < SETTLED * equations.parameters else 0
         point, loss, done = other, lower, done + 1
         if slow == 2:
-            return SearchOutcome(point, done, True)
+            return SearchOutcome(point, done, True, loss)
         damping = max(damping * EASED, LEAST_DAMPING)
-    return SearchOutcome(point, done, False)
+    return SearchOutcome(point, done, False, loss)
 
 
 def evaluated(at: BlockModel, signals: Signals) -> BlockModel:
@@ -201,8 +222,8 @@ def _even(at: BlockModel) -> BlockModel:
 class _Normal:
     """The normal equations at a point, outputs whitened; c and direct parts are the same for every whitened output."""
 
-    def __init__(self, at: BlockModel, signals: Signals, weighted: bool) -> None:
-        self.at = at
+    def __init__(self, at: BlockModel, signals: Signals, weighted: bool, held: NDArray[np.bool_] | None = None) -> None:
+        self.at, self.held = at, np.zeros(len(at.tau), dtype=bool) if held is None else held
         n, ny = signals.outputs.shape[1], len(at.c)
         if weighted:
             self.whiten = np.linalg.inv(np.linalg.cholesky(at.covariance / n))
@@ -261,6 +282,7 @@ class _Normal:
         of_b, of_p = np.ones((m, 2, J), dtype=bool), np.ones((m, 2), dtype=bool)
         single = self.at.sigma == 0
         of_b[single, 1], of_p[single, 1] = False, False
+        of_p[self.held, 0] = False
         return np.concatenate([of_b.ravel(), of_p.ravel()])
 
     def _pole_map(self) -> FloatArray:

@@ -18,7 +18,6 @@ from ultraquiet.identify.subspace.one_step.past_regression import (
     LONGEST,
     SAMPLES_PER_COLUMN,
     PastRegression,
-    with_poles_inside,
 )
 from ultraquiet.values import Record
 
@@ -62,7 +61,7 @@ def noise_model(v: FloatArray) -> fit.System | None:
         return None
     regression = PastRegression.of(data, longest, feedthrough=False)
     states = regression.states(regression.memory(1))
-    model = with_poles_inside(states.model(states.order()))
+    model = fit.with_poles_inside(states.model(states.order()))
     nothing = replace(model, A=np.zeros((0, 0)), B=np.zeros((0, 0)), C=np.zeros((ny, 0)), K=np.zeros((0, ny)))
     white = replace(nothing, x0=np.zeros(0))
     if not model.predicts() or schwarz(model, data, True) >= schwarz(white, data, True):

@@ -1,13 +1,12 @@
 """States of the one-step predictor, read off the Gram matrix of a record's past: what a long autoregression holds."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.subspace import fit
-from ultraquiet.linalg.polynomial_roots import mirrored_inside
 
 LONGEST = 100  # block rows of the past tried when no horizon is given
 SAMPLES_PER_COLUMN = 4  # of the record for every regressor of the longest past
@@ -125,12 +124,3 @@ class PredictorStates(NamedTuple):
         scale = 1.0 / np.sqrt(np.diag(N))
         scaled = np.linalg.lstsq(N * scale[:, None] * scale, (on @ self.G @ target.T) * scale[:, None], rcond=1e-12)[0]
         return (scaled * scale[:, None]).T
-
-
-def with_poles_inside(start: fit.System) -> fit.System:
-    """Return the system with its poles inside the circle, all else as it was."""
-    values, vectors = np.linalg.eig(start.A)
-    if np.abs(values).max() <= fit.STABLE_RADIUS:
-        return start
-    inside = mirrored_inside(values.astype(np.complex128), fit.STABLE_RADIUS)
-    return replace(start, A=(vectors @ np.diag(inside) @ np.linalg.inv(vectors)).real)

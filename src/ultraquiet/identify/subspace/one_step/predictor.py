@@ -20,7 +20,6 @@ from ultraquiet.identify.subspace.one_step.past_regression import (
     SAMPLES_PER_COLUMN,
     PastRegression,
     PredictorStates,
-    with_poles_inside,
 )
 from ultraquiet.values import Record
 from ultraquiet.values.handed_over.kinds import takes_values
@@ -121,7 +120,7 @@ class PredictorSubspace(SearchedOrder):
     def _start(self, states: PredictorStates) -> fit.System:
         start = states.model(min(self.given_order or states.order(), len(states.values)))
         if self.stable:
-            start = with_poles_inside(start)
+            start = fit.with_poles_inside(start)
         return replace(start, K=start.K if start.predicts() else np.zeros_like(start.K))
 
     def _simulating(self) -> Subspace:
