@@ -131,3 +131,12 @@ def test_good_records_hear_nothing(rng):
 @pytest.mark.slow
 def test_two_hundred_good_records_hear_nothing(rng):
     assert silence(rng, 100) >= 0.93
+
+
+def test_declared_limits_are_not_asked_for_again(rng):
+    u, y = rng.standard_normal((1, 2000)), np.clip(rng.standard_normal((1, 2000)), -1.0, 1.0)
+    known = uq.Record(u, y, 100.0, sensors=[uq.Channel("gauge", "V", -1.0, 1.0)])
+    told, asked = (uq.validate.advise(record)[0].sentence for record in (known, uq.Record(u, y, 100.0)))
+    assert "declare" in asked
+    assert "declare" not in told
+    assert "'output-error'" in told

@@ -14,7 +14,7 @@ from ultraquiet.identify import chance
 from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, shares_of, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
-from ultraquiet.values import InnovationForm, Record, Status, StatusWord
+from ultraquiet.values import Channel, InnovationForm, Record, Status, StatusWord
 from ultraquiet.values.confidence.response_spread import PredictedSpread, ResponseSpread, SimulatedSpread
 
 TEST_LAGS = 40
@@ -91,6 +91,7 @@ def judged(
     told = _explained(system, data, v, e, search.predicts)
     if told is not None:
         statuses = [_unless_silent(*each, data.samples, system) for each in zip(statuses, free, told, strict=True)]
+    statuses = [unless_clipped(*each) for each in zip(statuses, record.clipped(), record.sensors, strict=True)]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
     spread, no_band = _spread(model, record, data, search)
@@ -108,6 +109,21 @@ def judged(
         details={**details, "spare_modes": spare},
         spread=spread,
         no_band=no_band,
+    )
+
+
+def unless_clipped(status: Status, clipped: int, sensor: Channel, what: str = "the record") -> Status:
+    """Return the verdict on one output, no praise where `clipped` of its readings stand at the sensor's limits.
+
+    `what` is to be identified by a method that repairs them. A cut output is smaller than the plant's, and a model of
+    it too, whatever its error holds of the inputs.
+    """
+    if not clipped or status.word not in (StatusWord.OK, StatusWord.NOT_WHITE):
+        return status
+    return Status(
+        StatusWord.NOT_WHITE,
+        f"{clipped} readings of '{sensor.name}' stand at its limits, and a subspace takes them as they are read; "
+        f"identify {what} by 'output-error' or 'box-jenkins', which repair them, or lower the excitation.",
     )
 
 

@@ -95,11 +95,15 @@ def _of_the_record(record: Record) -> Iterator[Advice]:
         count = known or _repeated_extremes(y)
         if count:
             where = "the sensor's limits" if known else f"{y.min():g} or {sensor.in_unit(y.max())}, again and again"
+            mend = (
+                "see that the model is of a method that repairs them ('output-error', 'box-jenkins')"
+                if known
+                else "declare the limits (Channel.low, Channel.high) so that identification can repair them"
+            )
             yield Advice(
                 "clipping",
                 sensor.name,
-                f"{count} of {y.size} readings stand at {where}; lower the excitation, or declare the limits "
-                f"(Channel.low, Channel.high) so that identification can repair them.",
+                f"{count} of {y.size} readings stand at {where}; lower the excitation, or {mend}.",
             )
         spread = float(y.std())
         if spread > 0 and abs(float(y.mean())) > OFFSET_SPREADS * spread:

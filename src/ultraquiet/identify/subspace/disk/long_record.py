@@ -256,7 +256,7 @@ def _judged(
     beyond = evidence.too_many(details["spare_modes"], len(system.A))
     statuses = [
         chance.unless_silent(
-            _verdict(p, data.statistics, i, data.record, *search, noiseless(float(squares[i])) or beyond),
+            _verdict(p, *search, noiseless(float(squares[i])) or beyond),
             chance.explained_of(heard[i], 0, 1),
             n,
             numbers,
@@ -264,6 +264,8 @@ def _judged(
         )
         for i, p in enumerate(free)
     ]
+    at_limits = zip(statuses, data.statistics.clipped.tolist(), data.record.sensors, strict=True)
+    statuses = [evidence.unless_clipped(*each, what="a part of it in memory") for each in at_limits]
     whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
@@ -308,17 +310,9 @@ def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> flo
     )
 
 
-def _verdict(
-    p: float,
-    statistics: LongRecordStatistics,
-    output: int,
-    record: LongRecord,
-    steps: int,
-    converged: bool,
-    known: Status | None,
-) -> Status:
-    """Return the verdict on one output; what is `known` without a test stands unless readings are at their limits."""
-    if known is not None and not statistics.clipped[output]:
+def _verdict(p: float, steps: int, converged: bool, known: Status | None) -> Status:
+    """Return the verdict on one output; what is `known` without a test stands."""
+    if known is not None:
         return known
     if not converged:
         return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {steps} steps.")
@@ -327,10 +321,5 @@ def _verdict(
             StatusWord.NOT_WHITE,
             f"The simulated error still holds something of the inputs ({p_in_words(p)}): the order or the horizon "
             "leaves part of the record unexplained.",
-        )
-    if statistics.clipped[output]:
-        return Status(
-            StatusWord.NOT_WHITE,
-            f"{statistics.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
         )
     return Status(StatusWord.OK, f"The simulated error is free of the inputs ({p_in_words(p)}).")
