@@ -244,3 +244,37 @@ def test_a_model_that_misses_more_than_the_noise_is_not_ok(rng, seed):
     unsaid = ringing(rng, 0.01, multisine(20, seed))[1].part(4000)
     for wrong in (late, plain, unsaid):
         assert method.identify(wrong).status.word in {"poor fit", "not white", "not converged"}
+
+
+def sharp(rng, ny, nu, units):
+    """Two modes of a quarter and half a hertz, seen through a tenth of white noise; at their peaks, the true gains."""
+    s = 2 * np.pi * np.array([60.0, 150.0]) * (-0.002 + 1j)
+    A = np.zeros((4, 4))
+    for k, p in enumerate(np.exp(s / 1000.0)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+    B, C = (rng.uniform(0.5, 1.5, k) * rng.choice([-1.0, 1.0], k) for k in ((4, nu), (ny, 4)))
+    C *= [1.0, 1.0, 0.3, 0.3]
+    plant = uq.StateSpace(A, units * B, C, np.zeros((ny, nu)), 1000.0)
+    u = rng.standard_normal((nu, 8000)) / units
+    y = plant.simulate(u)
+    return plant, uq.Record(u, y + 0.1 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), 1000.0)
+
+
+@pytest.mark.parametrize(("ny", "nu", "units"), [(1, 1, 1.0), (2, 3, 1e6)])
+def test_modes_sharper_than_a_window_are_found_at_their_order(rng, ny, nu, units):
+    for _ in range(4 if ny == 1 else 1):
+        plant, record = sharp(rng, ny, nu, units)
+        found = uq.identify.WeightedRational(order=4).identify(record)
+        told, true = (x.frequency_response(np.array([60.0, 150.0])) for x in (found.model, plant))
+        share = np.abs(told - true).max(axis=(0, 1)) / np.abs(true).max(axis=(0, 1))
+        print(f"off by {share} at the peaks, {found.status}")
+        assert share.max() < 0.4
+
+
+@pytest.mark.parametrize(("ny", "nu", "units"), [(1, 1, 1.0), (2, 3, 1e-6)])
+def test_a_mode_that_is_missing_is_told(rng, ny, nu, units):
+    for _ in range(4 if ny == 1 else 1):
+        _, record = sharp(rng, ny, nu, units)
+        found = uq.identify.WeightedRational(order=2).identify(record)
+        print(found.fit_percent, found.status)
+        assert not found.status.ok

@@ -10,21 +10,21 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet._base.shown.line import p_in_words
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response, told_by_lines
+from ultraquiet.identify.response.follows_inputs import MISSED, unless_followed
 from ultraquiet.identify.response.model import WeightedFit
+from ultraquiet.identify.response.verdict import missed, not_converged, verdict, whiteness
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
-from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.sections import search as sections
 from ultraquiet.linalg.sections import start
 from ultraquiet.linalg.sections.realisation import realised
-from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
+from ultraquiet.values import FrequencyResponse, Record, StateSpace
 from ultraquiet.values.handed_over.kinds import takes_values
 
 HIGHEST_ORDER = 60
@@ -35,17 +35,13 @@ PATIENCE = 3
 # So many of the best starts run this far; the best of these runs to its end.
 TRIALS = 2
 TRIAL_STEPS = 15
+# Pairs of poles exchanged at most, and by how many mean squared residuals one must lower the sum of squares.
+EXCHANGES, WORTH = 4, 1.0
 # Delays that a free one starts from, in quarters of the shortest period measured: beyond a half turn of the highest
 # line the search would settle on a wrong one.
 DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 15)
 # Poles and a fraction of a sample stand in for each other: whole delays are tried so far around the free one.
 DELAY_REACH = 3
-TEST_LAGS = 10
-# Times the noise, at half of the lines: what a true model misses, of a noise known from two periods, is 1.2 there.
-MISSED = 1.5
-# Times the noise in the mean, which single lines rule whose noise from two periods looks small by chance: of a thousand
-# fits of a thousand lines one reaches it.
-MISSED_BY_FAR = 30.0
 
 
 class _OrderFit(NamedTuple):
@@ -220,11 +216,32 @@ def _at_order_again(method: WeightedRational, data: Data, order: int, fits: dict
     Close modes make minima of their own; a fit without one of them shows where it is missing.
     """
     first = fits[order]
-    if order < 3 or _whiteness(first.point, first.parameters / data.rows) >= SIGNIFICANCE:
-        return first
+    if order < 3 or whiteness(first.point, first.parameters / data.rows) >= SIGNIFICANCE:
+        return _exchanged(method, data, first)
     smaller = fits.get(order - 2) or _at_order(method, data, order - 2, None)
     second = _at_order(method, data, order, smaller)
-    return second if second.point.cost < first.point.cost else first
+    return _exchanged(method, data, second if second.point.cost < first.point.cost else first)
+
+
+def _exchanged(method: WeightedRational, data: Data, fit: _OrderFit) -> _OrderFit:
+    """Return the fit with pairs of poles put where it misses most, for those that do least, while that lowers the cost.
+
+    A sharp mode shows at a few lines, weighs little there, and may be between those that starts are drawn from: two
+    pairs then share one mode, or stand at noise, and no step leads away from there.
+    """
+    samples = data.late(fit.held_delay_s).samples
+    wider = replace(fit.shape, order=fit.shape.order + 2)
+    if fit.shape.order < 2 or LINES_PER_POLE * wider.order > samples.f_rad.size:
+        return fit
+    for _ in range(EXCHANGES):
+        theta = start.enlarged(samples, fit.point, fit.shape.order, wider.order)
+        point, _, _ = sections.search(samples, wider, theta, TRIAL_STEPS, data.slowest)
+        starts = [np.delete(point.theta, [k, k + 1]) for k in range(0, fit.shape.order, 2)]
+        other = _polished(method, data, fit.shape, fit.held_delay_s, starts)
+        if other.point.cost > fit.point.cost * (1.0 - WORTH / data.rows):
+            break
+        fit = other
+    return fit
 
 
 def _searched(
@@ -262,12 +279,13 @@ def _finished(method: WeightedRational, data: Data, fit: _OrderFit, scores: dict
     ny, nu = data.H.shape[:2]
     freedom = data.rows - fit.parameters
     cost = fit.point.cost / max(freedom, 1)
-    p = _whiteness(fit.point, fit.parameters / data.rows)
+    p = whiteness(fit.point, fit.parameters / data.rows)
     delay = fit.held_delay_s + (float(fit.point.theta[-1]) if fit.shape.delay else 0.0)
     at_limit = method.given_order is None and fit.shape.order >= max(scores) and len(scores) > 1
+    judged = verdict(cost, p, missed(fit.point), at_limit)
     return WeightedFit(
         model=_model(method, data, fit),
-        status=_verdict(fit, cost, p, _missed(fit.point), at_limit),
+        status=judged if fit.converged else not_converged(fit.steps),
         order=fit.shape.order,
         delay_s=delay,
         cost=cost,
@@ -288,60 +306,6 @@ def _of_inputs(point: sections.SectionFit, ny: int, nu: int) -> sections.Section
     return point._replace(rho=rho.reshape(ny * nu, 1, -1))
 
 
-def _whiteness(point: sections.SectionFit, share: float) -> float:
-    """Return the p-value that neighbouring lines' residuals are strangers, by a Ljung-Box test of all channels."""
-    nf = point.residual.shape[1] // 2
-    lags = min(TEST_LAGS, nf // 5)
-    if lags < 1:
-        return 1.0
-    from scipy.special import chdtrc
-
-    statistic, freedom = 0.0, 0
-    for r in point.residual:
-        for part in (r[:nf], r[nf:]):
-            test = portmanteau.ljung_box(part, lags)
-            statistic, freedom = statistic + test.statistic, freedom + test.freedom
-    # Parameters take their share of the residual's freedom; without it the test would be mild.
-    return float(chdtrc(max(freedom * (1.0 - share), 1.0), statistic))
-
-
-def _missed(point: sections.SectionFit) -> float:
-    """Return what the fit misses at half of the lines, in deviations of the noise.
-
-    The median of the squares, ln 2 of their mean where noise alone is left: a mean is ruled by the lines whose noise
-    chances to look small.
-    """
-    nf = point.residual.shape[1] // 2
-    squares = (point.residual[:, :nf] ** 2 + point.residual[:, nf:] ** 2) / 2
-    heard = squares[squares > 0]
-    return float(np.sqrt(np.median(heard) / np.log(2))) if heard.size else 0.0
-
-
-def _verdict(fit: _OrderFit, cost: float, p: float, missed: float, at_limit: bool) -> Status:
-    if not fit.converged:
-        return Status(
-            StatusWord.NOT_CONVERGED, f"{fit.steps} steps did not reach a minimum; give another order or more steps."
-        )
-    more = "; higher orders were not tried" if at_limit else ""
-    if p < SIGNIFICANCE:
-        return Status(
-            StatusWord.NOT_WHITE,
-            f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines ({p_in_words(p)}){more}: "
-            f"raise the order, free the delay, or set 'floor' to the relative error you can live with.",
-        )
-    if missed > MISSED or np.sqrt(cost) > MISSED_BY_FAR:
-        return Status(
-            StatusWord.POOR_FIT,
-            f"The fit misses {np.sqrt(cost):.3g} times the noise, {missed:.3g} times at half of the lines{more}: raise "
-            f"the order, free the delay, give 'period_samples' where the excitation repeats, or set 'floor' to the "
-            f"relative error you can live with.",
-        )
-    return Status(
-        StatusWord.OK,
-        f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines ({p_in_words(p)}){more}.",
-    )
-
-
 def _model(method: WeightedRational, data: Data, fit: _OrderFit) -> StateSpace:
     ny, nu = data.H.shape[:2]
     rho = _of_inputs(fit.point, ny, nu).rho.reshape(ny, nu, -1)
@@ -357,8 +321,14 @@ def _result(method: WeightedRational, fitted: WeightedFit, record: Record) -> Re
     miss = record.outputs - simulated
     residual = miss - unknown_past(fitted.model.A, fitted.model.C, miss)
     ny, numbers = len(record.sensors), chance.numbers_of(fitted.model.states, len(record.actuators))
+    limit = max(MISSED, method.floor)
     statuses = [
-        chance.unless_silent(fitted.status, chance.explained(y, e), y.size, numbers)
+        chance.unless_silent(
+            unless_followed(fitted.status, e, y, record.inputs, record.rate_hz, limit),
+            chance.explained(y, e),
+            y.size,
+            numbers,
+        )
         for y, e in zip(record.outputs, residual, strict=True)
     ]
     provenance = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
