@@ -19,6 +19,7 @@ from ultraquiet.identify.prediction_error.race import (
     Search,
     best_of_starts,
     fed_back,
+    noise_rings,
     residual_tests,
     run_search,
 )
@@ -132,7 +133,7 @@ def finished(
         data.recorded.size,
         free,
     )
-    if structure.models_noise and not fed_back(best.residual, data.u):
+    if noise_rings(best.table, structure) and not fed_back(best.residual, data.u):
         status = unless_followed(status, data.recorded - output, data.recorded, data.u, model.rate_hz, MISSED)
     colored = colored_products(data, structure, search, best) if is_colored(structure, evidence[0]) else None
     return Fit(

@@ -196,6 +196,11 @@ def freedom(e: FloatArray, u: FloatArray) -> float:
     return portmanteau.sidak(portmanteau.cross_correlation(e, x, _test_lags(e)).p_value for x in u)
 
 
+def noise_rings(table: FloatArray, structure: Structure) -> bool:
+    """Return whether a noise model has a resonance, which could be one of the plant's."""
+    return portmanteau.noise_modes(table[ROW_C, : structure.c + 1], table[ROW_D, : structure.d + 1]).size > 0
+
+
 def fed_back(e: FloatArray, u: FloatArray) -> bool:
     """Return whether innovations are heard in the inputs after them: what a model misses follows such inputs anyway."""
     return freedom(e[::-1], u[:, ::-1]) < SIGNIFICANCE
