@@ -67,7 +67,7 @@ def test_a_verified_response_is_that_of_dense_solves_where_poles_crowd(shape, dr
     """Modes by themselves are off by as much as the response itself, at a condition that says nothing of it."""
     A, B, C = crowded(np.random.default_rng(draw), *shape)
     z = np.exp(2j * np.pi * np.geomspace(1e-3, 10, 60) / 5e4)
-    found = modal_response.verified(A, B, C, np.zeros(shape), discrete=True).at(z)
+    found = modal_response.splitting(A, B, C, discrete=True).beside(np.zeros(shape)).at(z)
     expected = np.moveaxis(C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B.astype(complex)), 0, 2)
     size = np.abs(expected).max(axis=2, keepdims=True)
     assert np.abs((found - expected) / size).max() < 1e-7
@@ -83,9 +83,24 @@ def test_modes_that_agree_with_direct_solves_are_kept(rng, discrete):
         A = block_diag(*([[p.real, p.imag], [-p.imag, p.real]] for p in pairs), [[float(discrete)]])
         Q = np.linalg.qr(rng.standard_normal((7, 7)))[0]
         A, B, C, D = Q @ A @ Q.T, rng.standard_normal((7, 3)), rng.standard_normal((2, 7)), np.zeros((2, 3))
-        assert modal_response.verified(A, B, C, D, discrete).rest is None
-    nothing = modal_response.verified(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), np.ones((2, 3)), discrete)
+        assert modal_response.splitting(A, B, C, discrete).beside(D).rest is None
+    nothing = modal_response.splitting(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), discrete)
+    nothing = nothing.beside(np.ones((2, 3)))
     assert np.array_equal(nothing.at(np.array([1j])), np.ones((2, 3, 1)))
+
+
+def test_what_is_lost_far_below_a_direct_term_costs_no_direct_solves():
+    """What vanishes at 0 Hz is left to rounding there; beside a one, as in a sensitivity, nothing of it is missed."""
+    poles, moved = 0.999 * np.exp(1j * np.array([0.01, 0.02, 0.3])), np.ones((6, 1))
+    A = block_diag(*([[p.real, p.imag], [-p.imag, p.real]] for p in poles))
+    held = np.linalg.solve(np.eye(6) - A, moved)
+    blocked = np.linalg.qr(np.hstack([held, np.linalg.solve(np.eye(6) - A, held)]))[0]
+    C = np.random.default_rng(1).standard_normal((1, 6))
+    C = np.hstack([C - (C @ blocked) @ blocked.T, [[1.0]]])
+    # a pole that nothing moves is why anyone looks there
+    both = modal_response.splitting(block_diag(A, 1 - 1e-9), np.vstack([moved, [[0.0]]]), C, discrete=True)
+    assert both.beside(np.zeros((1, 1))).rest is not None
+    assert both.beside(np.ones((1, 1))).rest is None
 
 
 def test_a_double_pole_that_rounding_makes_a_pair_is_not_split():

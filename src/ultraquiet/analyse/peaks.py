@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.provenance import ByContents, content_hash
-from ultraquiet.linalg.modal_response import Residues, verified
+from ultraquiet.linalg.modal_response import Residues, Splitting, splitting
 from ultraquiet.linalg.response import points
 from ultraquiet.values.state_space import StateSpace
 
@@ -43,14 +43,13 @@ def response_at(system: StateSpace) -> Callable[[FloatArray], ComplexArray]:
 
 def _split(system: StateSpace) -> Residues:
     matrices, discrete = (system.A, system.B, system.C), system.rate_hz is not None
-    return _terms(ByContents(matrices, content_hash(*matrices)), discrete)._replace(D=system.D)
+    return _splitting(ByContents(matrices, content_hash(*matrices)), discrete).beside(system.D)
 
 
 # The margins of a loop are taken from one sensitivity, whose direct term alone differs from one to the other.
 @lru_cache(maxsize=16)
-def _terms(system: ByContents[tuple[FloatArray, FloatArray, FloatArray]], discrete: bool) -> Residues:
-    A, B, C = system.value
-    return verified(A, B, C, np.zeros((C.shape[0], B.shape[1])), discrete)
+def _splitting(system: ByContents[tuple[FloatArray, FloatArray, FloatArray]], discrete: bool) -> Splitting:
+    return splitting(*system.value, discrete)
 
 
 def ends(rate_hz: float | None) -> FloatArray:

@@ -8,7 +8,7 @@ from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.half_plane import half_plane
 from ultraquiet.limits.loops import AffineLoops
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.modal_response import verified
+from ultraquiet.linalg.modal_response import splitting
 from ultraquiet.linalg.response import points
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.door import takes_systems
@@ -104,8 +104,8 @@ class AllActuators:
     def __init__(self, plant: StateSpace, v: FloatArray, circle: Circle) -> None:
         self._circle = circle
         self._angles = np.linspace(0, np.pi, CIRCLE + 1)
-        terms = verified(plant.A, plant.B, v[None, :] @ plant.C, v[None, :] @ plant.D, plant.rate_hz is not None)
-        row = terms.at(points(circle.frequencies(self._angles), plant.rate_hz))
+        terms = splitting(plant.A, plant.B, v[None, :] @ plant.C, plant.rate_hz is not None)
+        row = terms.beside(v[None, :] @ plant.D).at(points(circle.frequencies(self._angles), plant.rate_hz))
         size = np.linalg.norm(row[0], axis=0)
         self._log = np.log(np.maximum(size, NO_ANSWER * size.max()))
         self._phase = np.unwrap(np.angle(outer(np.exp(self._log))[: CIRCLE + 1]))

@@ -78,8 +78,26 @@ def residues(A: Array, B: Array, C: Array, D: Array) -> Residues:
     return found if found.modes else _whole(A, B, C, D)
 
 
-def verified(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> Residues:
-    """Split a system as `residues` does, or leave it whole where modes lose digits of the response.
+class Splitting(NamedTuple):
+    """A system without its direct term, split and whole, and what both give at some points of the axis."""
+
+    split: Residues
+    whole: Residues
+    of_modes: Array  # (ny, nu, points)
+    exact: Array  # (ny, nu, points)
+    share: Array  # (points,), of the response: as far both may be apart
+
+    def beside(self, D: Array) -> Residues:
+        """Return the modes, or the whole where they lose digits of the response that D `(ny, nu)` is a part of.
+
+        What a loop gives beside a direct term of one, far below its modes, is of no account but by itself.
+        """
+        agree = _agree(self.of_modes - self.exact, self.exact + D[:, :, None], self.share)
+        return (self.split if agree else self.whole)._replace(D=D)
+
+
+def splitting(A: Array, B: Array, C: Array, discrete: bool) -> Splitting:
+    """Split a system as `residues` does, to be left whole where modes lose digits of the response.
 
     What nearly parallel modes lose, no condition of theirs tells without what they move and are seen by, nor without
     how near to the axis they are: modes and triangular solves are compared at the poles' frequencies and between them.
@@ -88,16 +106,15 @@ def verified(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> Residues
         A: `(n, n)`.
         B: `(n, nu)`.
         C: `(ny, n)`.
-        D: `(ny, nu)`.
         discrete: whether the unit circle or the imaginary axis is where the response is asked for.
     """
     A, B, C = evened(A, B, C, UNEVEN)
-    found, whole = split(balance.modal(A, B, C), D), _whole(A, B, C, D)
+    D = np.zeros((C.shape[0], B.shape[1]))
+    found, whole, none = split(balance.modal(A, B, C), D), _whole(A, B, C, D), D[:, :, None][:, :, :0]
     if not found.modes or whole.rest is None:
-        return whole
+        return Splitting(whole, whole, none, none, np.zeros(0))
     z, share = _compared(np.diag(whole.rest[0]), discrete)
-    exact = triangular_response(*whole.rest, z)
-    return found if _agree(found._replace(D=np.zeros(D.shape)).at(z), exact, share) else whole
+    return Splitting(found, whole, found.at(z), whole.at(z), share)
 
 
 def _whole(A: Array, B: Array, C: Array, D: Array) -> Residues:
@@ -156,8 +173,8 @@ def _compared(poles: Array, discrete: bool) -> tuple[Array, Array]:
     return z[apart > lost], AGREE + lost / apart[apart > lost]
 
 
-def _agree(G: Array, exact: Array, share: Array) -> bool:
-    """Return whether two responses `(ny, nu, nz)` differ by no more than a share at each point, whatever units are."""
+def _agree(error: Array, exact: Array, share: Array) -> bool:
+    """Return whether an error is no more than a share of a response `(ny, nu, nz)` at each point, in whatever units."""
     if not exact.size:
         return True
     size = np.abs(exact).max(axis=2)
@@ -167,7 +184,7 @@ def _agree(G: Array, exact: Array, share: Array) -> bool:
         rows = rows / np.sqrt(_or_one(scaled.max(axis=1)))
         columns = columns / np.sqrt(_or_one(scaled.max(axis=0)))
     weight = (rows[:, None] * columns)[:, :, None]
-    off, height = (weight * np.abs(G - exact)).max(axis=(0, 1)), (weight * np.abs(exact)).max(axis=(0, 1))
+    off, height = (weight * np.abs(error)).max(axis=(0, 1)), (weight * np.abs(exact)).max(axis=(0, 1))
     return bool(np.all(off <= share * height))
 
 
