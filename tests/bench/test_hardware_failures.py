@@ -143,9 +143,11 @@ def test_a_card_that_takes_nothing_any_more_is_named_to_whoever_stands_beside_it
 
 BLOCKS = ("for a block", "for a block of anybody's")
 ENDED = [(how, number) for number in ENDINGS for how in ("for good", *BLOCKS)]
+THREADED = [*ENDED, *((how, signal.SIGINT) for how in BLOCKS)]
 
 
-@pytest.mark.parametrize(("how", "number"), [*ENDED, *((how, signal.SIGINT) for how in BLOCKS)])
+@pytest.mark.gate(*(f"3-5-mm-{how}-{number:d}" for how, number in THREADED))
+@pytest.mark.parametrize(("how", "number"), THREADED)
 @pytest.mark.parametrize(("nu", "ny", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
 def test_runs_in_threads_come_down_too_where_the_process_takes_signals(nu, ny, unit, how, number, monkeypatch):
     """Loops are closed in threads, which no signal reaches; asked again on the way down, it goes on."""

@@ -26,6 +26,7 @@ def recorded(rng, ny, nu, samples=3000):
     return u, y + 0.05 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
 
 
+@pytest.mark.gate(*(f"{name}-shape{k}-100000.0" for k, name in enumerate([*METHODS, "subspace"])))
 @pytest.mark.parametrize("level", [10.0, 1e3, 1e5])
 @pytest.mark.parametrize(("method", "shape"), [*((name, (1, 1)) for name in METHODS), ("subspace", (3, 2))])
 def test_the_level_of_the_inputs_changes_no_model(method, shape, level, rng):

@@ -241,6 +241,7 @@ def test_a_circle_that_tells_nothing_is_followed_by_the_next(monkeypatch):
     assert np.isnan(found[2])
 
 
+@pytest.mark.gate("quiet_hz0-30-1.0", "quiet_hz1-60-1000000.0", "quiet_hz2-60-1e-06")
 @pytest.mark.parametrize("unit", [1.0, 1e6, 1e-6])
 @pytest.mark.parametrize(("quiet_hz", "basis"), [((48.02, 49.98), 30), ((48.3, 49.7), 60), ((48.755, 49.245), 60)])
 def test_a_band_about_one_tone_has_a_limit_or_none_and_no_end(unit, quiet_hz, basis):

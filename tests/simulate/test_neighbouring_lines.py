@@ -140,6 +140,7 @@ def test_lines_without_noise_and_at_the_ends_are_themselves(rng):
     assert heard(given, np.zeros(0, dtype=int))[0].shape == (3, 3, 0)
 
 
+@pytest.mark.gate("1-1-1e-06", "4-3-1.0", "3-5-1e-06")
 @pytest.mark.parametrize("unit", [1.0, 1e-6])
 @pytest.mark.parametrize(("sensors", "actuators"), SHAPES)
 def test_the_peak_of_a_loop_is_not_what_noise_makes_of_many_lines(sensors, actuators, unit, rng):
@@ -173,6 +174,7 @@ def true_size(A, B, C, K, f_hz):
     return np.linalg.norm(np.linalg.solve(np.eye(len(C)) - G @ K / z, reached), 2, axis=(1, 2))
 
 
+@pytest.mark.gate("0.0-0.9999", "0.0001-0.999")
 @pytest.mark.parametrize("modulus", [0.999, 0.9999])
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_a_loop_that_rings_for_longer_than_its_plant_has_its_peak_found_between_lines(modulus, noise, rng):

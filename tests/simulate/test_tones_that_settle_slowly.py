@@ -56,6 +56,7 @@ class Brief:
         return self._bench.run(u, disturbance=disturbance, controller=controller)
 
 
+@pytest.mark.gate("1-0.1-0.0", "3-0.5-0.001", "1-2.0-0.001", "3-5.0-0.0", "3-20.0-0.001")
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize("settles_s", [0.1, 0.5, 2.0, 5.0, 20.0])
 @pytest.mark.parametrize("outputs", [1, 3])
