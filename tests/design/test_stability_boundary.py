@@ -123,6 +123,16 @@ def test_slow_and_lightly_damped_poles_inside_are_stable(scale):
     assert StateSpace(mode(1e-3, 1e-4) * scale, np.ones((2, 1)), np.ones((1, 2)), [[0.0]]).is_stable()
 
 
+@pytest.mark.parametrize("slow", [0.0, 0.2])
+def test_states_in_units_far_apart_are_evened_without_a_warning(slow):
+    """Units of which no integer knows the quotient."""
+    A = block_diag(mode(20.0, 0.1), [[-slow]]) + np.eye(3, k=1)
+    far = np.array([1.0, 1e15, 1e-25])
+    system = held(A * far[:, None] / far, np.ones((3, 1)) * far[:, None], np.ones((1, 3)) / far, None)
+    assert system.is_stable() == (slow > 0)
+    assert system.boundary_hz().size == (slow == 0)
+
+
 def test_a_law_that_cancels_its_own_integrator_in_the_plant_is_told(rng):
     """The plant passes nothing at 0 Hz, where the law integrates."""
     G = series(washout(1, RATE_HZ), held(mode(30.0, 0.1), np.ones((2, 1)), np.ones((1, 2)), RATE_HZ))

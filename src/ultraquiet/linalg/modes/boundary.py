@@ -1,7 +1,8 @@
 """Poles that cannot be told from the stability boundary: nearer than the last digits of a matrix decide."""
 
 import numpy as np
-from scipy.linalg import LinAlgError, matrix_balance
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 
@@ -38,7 +39,7 @@ def on_boundary(A: FloatArray, poles: ComplexArray, discrete: bool) -> ComplexAr
     points, gaps = _beside(poles, discrete)
     if not points.size:
         return points
-    even = np.asarray(matrix_balance(A, permute=False)[0], dtype=np.float64)
+    even = np.asarray(dgebal(A, scale=1, permute=0)[0], dtype=np.float64)
     rounding = ROUNDED * len(A)
     limits = np.where(gaps <= UPON, max(SOLVED, rounding), rounding)
     found = [_within(even, z, limit) for z, limit in zip(points, limits, strict=True)]
