@@ -53,6 +53,18 @@ def test_modal_response_is_that_of_the_triangular_kernel(rng):
     np.testing.assert_allclose(fast, slow, atol=1e-7 * np.abs(slow).max())
 
 
+@pytest.mark.parametrize("spread", [6, 9, 20])
+def test_a_response_does_not_depend_on_the_units_of_states(spread, rng):
+    """Not even on units that row by row and column by column look near to even, and do not when taken together."""
+    A, B, C, D = mixed(rng, plant(rng))
+    units = np.exp2(rng.integers(-spread, spread + 1, len(A)))
+    z = 1j * np.geomspace(0.1, 100, 200)
+    expected = response.frequency_response(A, B, C, D, z)
+    A, B, C = A * units / units[:, None], B / units[:, None], C * units
+    for found in (response.frequency_response(A, B, C, D, z), modal_response.residues(A, B, C, D).at(z)):
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
 def crowded(rng, ny, nu, rate_hz=5e4):
     """Three poles within 2 % of 0.3 rad/s, five decades below the sampling rate, and two fast ones; units at random."""
     companion = np.poly(-0.3 * (1 + rng.uniform(0, 0.02, 3)))

@@ -8,7 +8,7 @@ from ultraquiet.linalg.ordered import Array, real_schur
 
 SWEEPS = 20  # a handful settles it
 TANGLED = 1.5  # norm of A over its largest eigenvalue, beyond which terms of A cancel that rounding makes part of
-UNEVEN = 2.0**20  # row sums against column sums: below it, rounding costs less than half of the digits
+UNEVEN = 2.0**8  # row sums against column sums: states that lead to one another may each cost as many bits
 
 
 def evened(
