@@ -6,7 +6,7 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.errors import UnheardError
 from ultraquiet.bench import Wrapped
-from ultraquiet.simulate.sweeps.directions import _basis, directions
+from ultraquiet.simulate.sweeps.directions import WEAKEST, _basis, directions
 from ultraquiet.values import Channel, StateSpace
 
 RATE_HZ, BAND_HZ = 1600.0, (20.0, 90.0)
@@ -14,7 +14,9 @@ RATE_HZ, BAND_HZ = 1600.0, (20.0, 90.0)
 
 @pytest.mark.parametrize(("ny", "nu"), [(1, 1), (6, 6), (4, 3), (3, 5), (1, 4)])
 def test_each_moves_one_direction_alone_or_none(rng, ny, nu):
-    G = np.exp(rng.normal(size=(30, ny, nu)) + 2j * np.pi * rng.random((30, ny, nu)))
+    u, s, vh = np.linalg.svd(np.exp(rng.normal(size=(30, ny, nu)) + 2j * np.pi * rng.random((30, ny, nu))))
+    s = np.maximum(s, 2 * WEAKEST * s[:, :1])  # weaker ones are driven no more strongly, and move others too
+    G = (u[:, :, : s.shape[1]] * s[:, None]) @ vh[:, : s.shape[1]]
     w, heard = directions(G), min(ny, nu)
     assert w.shape == (30, nu, nu)
     assert np.linalg.norm(w, axis=1) == pytest.approx(1.0)
