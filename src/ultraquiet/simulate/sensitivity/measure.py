@@ -177,4 +177,7 @@ def _joined(opened: OpenLoop, parts: list[BandLines]) -> MeasuredSensitivity:
 def _louder(bench: Bench) -> str:
     if np.isfinite([*ranges(bench.actuators), *ranges(bench.sensors)]).all():
         return ""
-    return f"give each channel its low and high: without them readings are kept to {LOUD:g} times their noise"
+    kept = f"readings are kept to {LOUD:g} times their noise"
+    if not np.isfinite(ranges(bench.actuators)).any():
+        kept = f"commands are kept to one unit and {kept}"
+    return f"give each channel its low and high: without them {kept}"
