@@ -114,7 +114,7 @@ SHAPES = {"1x1": ((1, 1), (1.0, 1.0)), "4x3": ((4, 3), (1e5, 1e-6)), "3x5": ((3,
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("color", [0.0, 0.9])
 def test_a_plain_state_space_is_judged_by_what_its_simulated_error_holds_of_the_inputs(rng, name, color):
-    plant, other = (modes([30.0, f], *SHAPES[name]) for f in (100.0, 101.0))
+    plant, other = (modes([30.0, f], *SHAPES[name]) for f in (100.0, 102.0))
     right, test = judged(plant, recorded(plant, rng, color))
     wrong, _ = judged(plant, recorded(other, rng, color))
     print(f"\n{name}: {right}; {wrong}")
