@@ -139,7 +139,7 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     """Return the time per sample of a pass of BJ5, of the products at all lags, and of the modal least squares."""
     import ultraquiet as uq
     from ultraquiet.identify.long_record_statistics import survey
-    from ultraquiet.identify.prediction_error import long_record
+    from ultraquiet.identify.prediction_error.disk import passes
     from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
     from ultraquiet.identify.subspace.disk import long_record_bank
     from ultraquiet.identify.subspace.disk.long_record import ScaledStream
@@ -150,8 +150,8 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     plant = write_hour(rng, path, samples / RATE_HZ)
     record = uq.files.LongRecord(path)
     single = record.pick(inputs=[0])
-    data = long_record.Stream(single, 0, survey(single))
-    signals = long_record.signals_through(method.structure(), 1, (True, True))
+    data = passes.Stream(single, 0, survey(single))
+    signals = passes.signals_through(method.structure(), 1, (True, True))
     table = Parameterisation.alike(method.structure(), 1).empty()
     table[[2, 4], : plant.noise_filter.size] = plant.noise_filter
     table[3, 0] = 1.0

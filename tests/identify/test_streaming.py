@@ -11,7 +11,7 @@ from truths import draw, modal_truth
 import ultraquiet as uq
 from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.long_record_statistics import survey
-from ultraquiet.identify.prediction_error import long_record
+from ultraquiet.identify.prediction_error.disk import passes
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.model_table import table_of
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
@@ -59,7 +59,7 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
             table[row, :order] = rng.standard_normal(order)
         elif order:
             table[row, : order + 1] = np.poly(0.7 * np.exp(2j * np.pi * np.array([0.13, -0.13, 0.0])[:order])).real
-    data = long_record.Stream(stored(tmp_path, record, block=1234), 0, survey(stored(tmp_path, record)))
+    data = passes.Stream(stored(tmp_path, record, block=1234), 0, survey(stored(tmp_path, record)))
     free = free_rows(nu, range(len(table)))
     signals = signals_of(layout, free, layout.states(True, True))
     u, y = record.inputs / data.input_size[:, None], record.outputs[0] / data.output_size
@@ -67,7 +67,7 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     loss, wanted = held.loss(table), held.normal(table)
     x = np.zeros(signals.unknown_past)
     for _ in range(3):  # the gradient is taken at the past given: a few rounds find it
-        point = long_record.LongRecordPoint.of(data, signals, "test", table, x)
+        point = passes.LongRecordPoint.of(data, signals, "test", table, x)
         x = point.past()
     S = point.normal()
     size = np.sqrt(np.diag(wanted))
@@ -83,11 +83,11 @@ def test_a_search_begins_with_the_gradient_of_its_loss(rng, tmp_path):
     y = plant.simulate(u := rng.standard_normal((1, 3000)))
     y += 2 * y.std() * rng.standard_normal(y.shape)
     record = stored(tmp_path, uq.Record(u, y, 100.0))
-    data, structure = long_record.Stream(record, 0, survey(record)), uq.identify.OutputError(order=1).structure()
+    data, structure = passes.Stream(record, 0, survey(record)), uq.identify.OutputError(order=1).structure()
     near = uq.PolynomialModel([[0, 0.1]], [[1, -0.88]], 100.0)
     table = table_of(Parameterisation.alike(structure, 1), near, data.gain)
-    signals = long_record.signals_through(structure, 1, (True, True))
-    point = long_record.LongRecordPoint.of(data, signals, "test", table)
+    signals = passes.signals_through(structure, 1, (True, True))
+    point = passes.LongRecordPoint.of(data, signals, "test", table)
     steps = 1e-4 * np.eye(len(point.normal()) - 1)
     slopes = [(point.gained(point.moved(h)) - point.gained(point.moved(-h))) / 2e-4 for h in steps]
     print(f"\nslopes {slopes}, promised {(-2 * point.normal()[:-1, -1]).tolist()}")

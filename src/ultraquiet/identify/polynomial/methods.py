@@ -10,9 +10,9 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.joint.identify import fit_alone, identify_joint
+from ultraquiet.identify.prediction_error.disk.long_record import identify_long
 from ultraquiet.identify.prediction_error.fit import FOCUSES, Fit, fit_channel, fit_focused
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
-from ultraquiet.identify.prediction_error.long_record import identify_long
 from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import each
 from ultraquiet.identify.prediction_error.result import gather

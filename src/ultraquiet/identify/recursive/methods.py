@@ -14,8 +14,8 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import race
+from ultraquiet.identify.prediction_error.disk.long_record import simulated_fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
-from ultraquiet.identify.prediction_error.long_record import simulated_fit
 from ultraquiet.identify.prediction_error.order_choice import told, unasked
 from ultraquiet.identify.prediction_error.settings import HIGHEST_ORDER, NOT_ASKED
 from ultraquiet.identify.recursive.beginning import LONGEST, constant_at_output

@@ -1,0 +1,1 @@
+"""Records longer than memory: the same minimum, one pass over the file an iteration."""
