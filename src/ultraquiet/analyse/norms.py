@@ -32,18 +32,12 @@ def hinf_norm(G: StateSpace, tolerance: float = 1e-7) -> tuple[float, float]:
 
     Bruinsma and Steinbuch 1990, doi:10.1016/0167-6911(90)90049-Z.
     """
+    discrete = G.rate_hz is not None
     if G.boundary_hz().size:
-        return np.inf, _slowest_hz(G)
-    gain, w = norms.peak_gain(G.A, G.B, G.C, G.D, G.rate_hz is not None, tolerance)
+        gain, w = np.inf, norms.least_damped(G.poles(), discrete)
+    else:
+        gain, w = norms.peak_gain(G.A, G.B, G.C, G.D, discrete, tolerance)
     return gain, w / (2 * np.pi) * (1.0 if G.rate_hz is None else G.rate_hz)
-
-
-def _slowest_hz(G: StateSpace) -> float:
-    """Return the frequency of the pole that grows fastest, or decays most slowly."""
-    poles = G.poles()
-    if G.rate_hz is None:
-        return float(abs(poles[np.argmax(poles.real)].imag)) / (2 * np.pi)
-    return float(abs(np.angle(poles[np.argmax(np.abs(poles))]))) * G.rate_hz / (2 * np.pi)
 
 
 @takes_systems

@@ -110,7 +110,7 @@ def splitting(A: Array, B: Array, C: Array, discrete: bool) -> Splitting:
     """
     A, B, C = evened(A, B, C, UNEVEN)
     D = np.zeros((C.shape[0], B.shape[1]))
-    found, whole, none = split(balance.modal(A, B, C), D), _whole(A, B, C, D), D[:, :, None][:, :, :0]
+    found, whole, none = split(balance.modal(A, B, C), D), _whole(A, B, C, D), np.zeros((*D.shape, 0))
     if not found.modes or whole.rest is None:
         return Splitting(whole, whole, none, none, np.zeros(0))
     z, share = _compared(np.diag(whole.rest[0]), discrete)

@@ -56,13 +56,17 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
     """
     A, B, C, _ = even_states(A, B, C)
     poles = np.linalg.eigvals(A)
-    growth = np.abs(poles) - 1 if discrete else poles.real
-    if poles.size and growth.max() >= 0:
-        worst = poles[np.argmax(growth)]
-        return np.inf, float(abs(np.angle(worst)) if discrete else abs(worst.imag))
+    if poles.size and (np.abs(poles).max() >= 1 if discrete else poles.real.max() >= 0):
+        return np.inf, least_damped(poles, discrete)
     gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(modal(A, B, C), D, (A, B, C), tolerance)
     gain, w = _refined(A, B, C, D, discrete, poles, gain, w, max(tolerance, DISAGREE))
     return (refined_gain(A, B, C, D, np.exp(1j * w) if discrete else 1j * w) if np.isfinite(w) else gain), w
+
+
+def least_damped(poles: Array, discrete: bool) -> float:
+    """Return where the pole is that grows fastest, or decays most slowly: rad/s, or radians per sample."""
+    worst = poles[np.argmax(np.abs(poles) if discrete else poles.real)]
+    return float(abs(np.angle(worst)) if discrete else abs(worst.imag))
 
 
 def largest_gains(M: Array) -> Array:

@@ -116,7 +116,7 @@ def fit_channel(data: ChannelData, structure: Structure, search: Search, rate_hz
 
 
 def finished(
-    data: ChannelData, structure: Structure, search: Search, model: PolynomialModel, best: "Found", tried: int
+    data: ChannelData, structure: Structure, search: Search, model: PolynomialModel, best: Found, tried: int
 ) -> Fit:
     """Return a model with its evidence: residual tests, fit, covariance."""
     evidence = residual_tests(best, data.u, structure)
@@ -170,7 +170,7 @@ def judged(
     return (chance.silence(told) if silent else status), silent
 
 
-def model_of(found: "Found", structure: Structure, data: ChannelData, rate_hz: float) -> PolynomialModel:
+def model_of(found: Found, structure: Structure, data: ChannelData, rate_hz: float) -> PolynomialModel:
     """Return the model a search ended at, in the units of the record."""
     parameterisation = Parameterisation.alike(structure, data.u.shape[0])
     return modelled(parameterisation, found.table, data.gain, rate_hz, found.loss * data.output_size**2)

@@ -201,7 +201,7 @@ def enlarged_tables(
 
     The noise begins anew in one, and stays as it is in the other. None where it rings nowhere.
     """
-    modes = portmanteau.noise_modes(table[ROW_C, : structure.c + 1], table[ROW_D, : structure.d + 1])
+    modes = noise_modes(table, structure)
     if not modes.size:
         return None
     mode = monic_from_roots(mirrored_inside(np.array([modes[0], modes[0].conjugate()]), RADIUS))
@@ -209,6 +209,11 @@ def enlarged_tables(
     f = [np.convolve(table[row, : structure.f + 1], mode) for row in f_rows(data.u.shape[0])]
     anew = _from_poles(data, larger, np.array(f))
     return larger, [anew, _with_noise_of(anew, table, structure)]
+
+
+def noise_modes(table: FloatArray, structure: Structure) -> ComplexArray:
+    """Return the poles, loudest first, with which the noise model of a table rings."""
+    return portmanteau.noise_modes(table[ROW_C, : structure.c + 1], table[ROW_D, : structure.d + 1])
 
 
 def _with_noise_of(table: FloatArray, other: FloatArray, structure: Structure) -> FloatArray:

@@ -10,6 +10,7 @@ from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.initial_models import (
     ChannelData,
     enlarged_tables,
+    noise_modes,
     smaller_tables,
     start_table,
     starting_tables,
@@ -198,7 +199,7 @@ def freedom(e: FloatArray, u: FloatArray) -> float:
 
 def noise_rings(table: FloatArray, structure: Structure) -> bool:
     """Return whether a noise model has a resonance, which could be one of the plant's."""
-    return portmanteau.noise_modes(table[ROW_C, : structure.c + 1], table[ROW_D, : structure.d + 1]).size > 0
+    return noise_modes(table, structure).size > 0
 
 
 def fed_back(e: FloatArray, u: FloatArray) -> bool:
