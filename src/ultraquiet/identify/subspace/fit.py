@@ -15,6 +15,9 @@ from ultraquiet.values import Record
 
 UNTOLD = 1.0  # decay of a real pole over the whole record, in its logarithm, below which it may be an integrator's
 PARALLEL = 1e9  # condition of eigenvectors beyond which modal coordinates hold no digits
+# Twice the log likelihood that a pole kept inside the circle may cost before the search counts as ended away from its
+# minimum: chi square of one number, exceeded by chance in one of a thousand records of an integrator.
+AT_THE_EDGE = 10.83
 GAIN_ROUNDS = 6  # of regression on the innovations of the round before
 
 
@@ -212,7 +215,9 @@ def with_an_integrator(system: System, samples: int) -> System | None:
 def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> SystemFit:
     """Return the system of least one-step error.
 
-    A start whose predictor has no modal form (parallel eigenvectors) is returned as it is, not converged.
+    A start whose predictor has no modal form (parallel eigenvectors) is returned as it is, not converged. Where noise
+    draws the pole of an integrator beyond the circle, a second search keeps inside; the better of it and of the first's
+    end with that pole mirrored is returned: mirrored alone it may be worse than its start.
     """
     nu, ny = len(data.u), len(data.y)
     inner = start.A - start.K @ start.C
@@ -234,13 +239,40 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         constant = np.linalg.solve(np.eye(ny) - C @ settled, total).astype(np.float64)
         return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] - settled @ constant, constant)
 
-    def admissible(at: gauss_newton.BlockModel) -> bool:
-        most = 1.0 + UNTOLD / data.samples  # an integrator's pole that noise has drawn over the circle
-        return at.inside() and (not stable or np.abs(np.linalg.eigvals(system_at(at).A)).max() <= most)
+    def searched(farthest: float) -> SystemFit:
+        def admissible(at: gauss_newton.BlockModel) -> bool:
+            return at.inside() and (not stable or np.abs(np.linalg.eigvals(system_at(at).A)).max() <= farthest)
 
-    outcome = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
-    found = system_at(outcome.point)
-    return SystemFit(with_poles_inside(found) if stable else found, outcome.steps, outcome.converged)
+        outcome = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
+        return SystemFit(system_at(outcome.point), outcome.steps, outcome.converged)
+
+    found = searched(1.0 + UNTOLD / data.samples)  # an integrator's pole that noise has drawn over the circle
+    if not stable:
+        return found
+    mirrored = found._replace(system=with_poles_inside(found.system))
+    if found.system.stable():
+        return mirrored
+    kept = searched(INTEGRATING + ROUNDED)
+    kept = kept._replace(system=with_poles_inside(kept.system))
+
+    def size(one: SystemFit) -> float:
+        return data.samples * log_size(one.system.errors(data.u, data.y), options.weighted)
+
+    better = min(kept, mirrored, key=size)
+    ended = found.converged and size(better) - size(found) <= AT_THE_EDGE
+    return SystemFit(better.system, found.steps + kept.steps, ended)
+
+
+def log_size(e: FloatArray, weighted: bool) -> float:
+    """Return log det(e e' / n) of errors `(ny, n)`; not `weighted`, ny times the log of the mean trace in its place."""
+    covariance = e @ e.T / e.shape[1]
+    if not np.all(np.isfinite(covariance)):
+        return np.inf
+    least = np.finfo(float).tiny  # of a record without noise nothing is left
+    if not weighted:
+        return len(covariance) * float(np.log(max(np.trace(covariance) / len(covariance), least)))
+    sign, value = np.linalg.slogdet(covariance)
+    return float(value) if sign > 0 else len(covariance) * float(np.log(least))
 
 
 def with_poles_inside(start: System) -> System:

@@ -95,14 +95,4 @@ def schwarz(system: fit.System, data: fit.Scaled, weighted: bool) -> float:
     e = system.errors(data.u, data.y)
     nu, (ny, n) = len(data.u), e.shape
     free = len(system.A) * (nu + ny + (ny if np.any(system.K) else 0))
-    return n * _log_size(e @ e.T / n, weighted) + float(np.log(n)) * free
-
-
-def _log_size(covariance: FloatArray, weighted: bool) -> float:
-    if not np.all(np.isfinite(covariance)):
-        return np.inf
-    least = np.finfo(float).tiny  # of a record without noise nothing is left
-    if not weighted:
-        return len(covariance) * float(np.log(max(np.trace(covariance) / len(covariance), least)))
-    sign, value = np.linalg.slogdet(covariance)
-    return float(value) if sign > 0 else len(covariance) * float(np.log(least))
+    return n * fit.log_size(e, weighted) + float(np.log(n)) * free
