@@ -137,6 +137,36 @@ def test_the_delay_is_estimated(rate_hz, rng):
     assert abs(fit.delay_s - delay_s) < 4 * deviation_s
 
 
+def with_a_far_zero(plant, zero):
+    """The plant, of one input and output, with a C that puts a zero near `zero` rad/s."""
+    A, B, C = plant.A, plant.B, plant.C
+    along = B.T / (B.T @ B)
+    left = zero + np.trace(A)
+    C = C - (left * C @ B + C @ A @ B) / (left + along @ A @ B) * along
+    return uq.StateSpace(A, B, C, plant.D, plant.rate_hz)
+
+
+@pytest.mark.parametrize(("ny", "nu", "units"), [(1, 1, 1.0), (2, 3, 1e-6)])
+def test_a_far_zero_and_a_delay_that_stand_in_for_each_other_are_both_told(ny, nu, units, rng):
+    """Between a zero far above the lines and its mirror image with some more delay the noise decides by chance."""
+    delay_s, zero = 3 / RATE_HZ, 40.0 * F_HZ[-1]
+    plant = with_a_far_zero(resolved(np.random.default_rng(0), 2, 1, 1, None), zero)
+    mirrored = []
+    for _ in range(6 if ny == 1 else 3):
+        gains = rng.uniform(0.5, 2.0, (ny, nu, 1)) * units
+        G = gains * plant.frequency_response(F_HZ) * np.exp(-2j * np.pi * F_HZ * delay_s)
+        measured = noisy(G, noise_of(G, rng, 0.01 * np.sqrt(ny * nu)), rng)
+        fit = uq.identify.WeightedRational(order=4, delay_s=None).identify_response(measured)
+        deviation_s = np.sqrt(fit.pole_covariance[-1, -1])
+        away_s = [abs(theta[-1] - fit.delay_s) for theta, _ in fit.other_minima]
+        print(f"delay off by {fit.delay_s - delay_s:.1e} s, deviation {deviation_s:.1e} s, others {away_s} s away")
+        assert abs(fit.delay_s - delay_s) < 4 * deviation_s
+        assert all(cost >= fit.point.cost for _, cost in fit.other_minima)
+        mirrored.append(any(1 / zero < away < 3 / zero for away in away_s))
+    # Where the noise moves the zero to infinity the two are one.
+    assert any(mirrored)
+
+
 def test_what_a_record_leaks_is_fitted_with_it(rng):
     """A record cut from the middle of a run: the model is as good as its noise allows."""
     plant = resolved(rng, 3, 2, 1)

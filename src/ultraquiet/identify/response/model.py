@@ -50,6 +50,7 @@ class WeightedFit:
         errors_by_order: the criterion of every order tried, less the least.
         iterations: accepted steps of the search.
         pole_covariance: of the logarithms of the sections' coefficients and the delay, `(order + 1, order + 1)`.
+        other_minima: coefficients and sum of squares of each fit that another delay gives, where the delay is free.
     """
 
     model: StateSpace
@@ -65,6 +66,7 @@ class WeightedFit:
     samples: sections.FrequencySamples
     outputs_inputs: tuple[int, int]
     held_delay_s: float
+    other_minima: tuple[tuple[FloatArray, float], ...] = ()
 
     @property
     def error(self) -> tuple[float, float]:
@@ -73,8 +75,16 @@ class WeightedFit:
 
     @property
     def pole_covariance(self) -> FloatArray:
-        """Covariance of what was searched: logarithms of the sections' coefficients, then the delay in seconds."""
-        covariance = np.linalg.pinv(self.point.normal, hermitian=True) * max(1.0, self.cost)
+        """Covariance of what was searched: logarithms of the sections' coefficients, then the delay in seconds.
+
+        A far zero and a little delay stand in for each other; where the data leave open which of two such fits is
+        right, how far they are apart counts by the likelihood of the other one.
+        """
+        scale = max(1.0, self.cost)
+        covariance = np.linalg.pinv(self.point.normal, hermitian=True) * scale
+        odds = np.exp([(self.point.cost - cost) / (2 * scale) for _, cost in self.other_minima])
+        for (theta, _), share in zip(self.other_minima, odds / (1.0 + odds.sum()), strict=True):
+            covariance += share * np.outer(theta - self.point.theta, theta - self.point.theta)
         return covariance.astype(np.float64)
 
     def frequency_response(self, f_hz: ArrayLike) -> ComplexArray:

@@ -21,8 +21,8 @@ from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
+from ultraquiet.linalg.sections import delays, start
 from ultraquiet.linalg.sections import search as sections
-from ultraquiet.linalg.sections import start
 from ultraquiet.linalg.sections.realisation import realised
 from ultraquiet.values import FrequencyResponse, Record, StateSpace
 from ultraquiet.values.handed_over.kinds import takes_values
@@ -176,12 +176,12 @@ class WeightedRational(SearchedOrder):
                     if 1 <= n <= highest and n not in fits:
                         try_order(n)
             best = min(scores, key=lambda n: scores[n])
-            again = _at_order_again(self, data, best, fits)
+            again, others = _over_delays(data, _at_order_again(self, data, best, fits))
             scores[best] += data.rows * float(np.log(again.point.cost / fits[best].point.cost))
             fits[best] = again
         best = min(scores, key=lambda n: scores[n])
         least = scores[best]
-        return _finished(self, data, fits[best], {n: v - least for n, v in scores.items()})
+        return _finished(self, data, fits[best], others, {n: v - least for n, v in scores.items()})
 
 
 def _exhausted(scores: dict[int, float]) -> bool:
@@ -244,6 +244,14 @@ def _exchanged(method: WeightedRational, data: Data, fit: _OrderFit) -> _OrderFi
     return fit
 
 
+def _over_delays(data: Data, fit: _OrderFit) -> tuple[_OrderFit, tuple[sections.SectionFit, ...]]:
+    """Return the fit at the lowest of the minima that differ by a free delay, and the others."""
+    if not fit.shape.delay:
+        return fit, ()
+    lowest, *others = delays.minima(data.samples, fit.shape, fit.point, TRIAL_STEPS, data.slowest)
+    return fit._replace(point=lowest, converged=fit.converged or lowest is not fit.point), tuple(others)
+
+
 def _searched(
     method: WeightedRational, data: Data, shape: sections.SectionShape, held_delay_s: float, smaller: _OrderFit | None
 ) -> _OrderFit:
@@ -275,7 +283,13 @@ def _polished(
     return _OrderFit(shape, point, steps, converged, held_delay_s)
 
 
-def _finished(method: WeightedRational, data: Data, fit: _OrderFit, scores: dict[int, float]) -> WeightedFit:
+def _finished(
+    method: WeightedRational,
+    data: Data,
+    fit: _OrderFit,
+    others: tuple[sections.SectionFit, ...],
+    scores: dict[int, float],
+) -> WeightedFit:
     ny, nu = data.H.shape[:2]
     freedom = data.rows - fit.parameters
     cost = fit.point.cost / max(freedom, 1)
@@ -297,6 +311,7 @@ def _finished(method: WeightedRational, data: Data, fit: _OrderFit, scores: dict
         samples=data.samples,
         outputs_inputs=(ny, nu),
         held_delay_s=fit.held_delay_s,
+        other_minima=tuple((point.theta, point.cost) for point in others),
     )
 
 
