@@ -301,10 +301,19 @@ def test_modes_sharper_than_a_window_are_found_at_their_order(rng, ny, nu, units
         assert share.max() < 0.4
 
 
+def without_one(rng, ny, nu, units):
+    """Such a record, its second mode more than 0.12 of an output's RMS: the verdict lets 0.1 of it be missed."""
+    while True:
+        plant, record = sharp(rng, ny, nu, units)
+        second = uq.StateSpace(plant.A[2:, 2:], plant.B[2:], plant.C[:, 2:], plant.D, plant.rate_hz)
+        share = second.simulate(record.inputs).std(axis=1) / record.outputs.std(axis=1)
+        if share.max() > 0.12:
+            return record
+
+
 @pytest.mark.parametrize(("ny", "nu", "units"), [(1, 1, 1.0), (2, 3, 1e-6)])
 def test_a_mode_that_is_missing_is_told(rng, ny, nu, units):
     for _ in range(4 if ny == 1 else 1):
-        _, record = sharp(rng, ny, nu, units)
-        found = uq.identify.WeightedRational(order=2).identify(record)
+        found = uq.identify.WeightedRational(order=2).identify(without_one(rng, ny, nu, units))
         print(found.fit_percent, found.status)
         assert not found.status.ok
