@@ -21,6 +21,7 @@ from ultraquiet.identify.subspace import kernels as state_kernels
 from ultraquiet.identify.subspace import modal_least_squares
 from ultraquiet.identify.subspace.disk.long_record import hankel_gram
 from ultraquiet.identify.subspace.disk.long_record_bank import StreamedBank
+from ultraquiet.identify.subspace.hankel import without_levels
 from ultraquiet.linalg.lagged import Lagged
 
 
@@ -146,6 +147,10 @@ def test_hankel_products_and_filter_bank_are_those_in_memory(rng):
     G, wanted = hankel_gram(sums.products(), sums, rows), state_kernels.hankel_gram(z, rows)
     print(f"\nHankel products differ by {np.abs(G - wanted).max() / np.abs(wanted).max():.1e}")
     assert pytest.approx(wanted, abs=1e-10 * np.abs(wanted).max()) == G
+    H = np.concatenate([z[:, k : n - rows + 1 + k] for k in range(rows)])
+    H -= H.mean(axis=1, keepdims=True)
+    level = without_levels(G, sums.mean * n, sums.head, sums.tail[:, -rows:], n)
+    assert pytest.approx(H @ H.T, abs=1e-10 * np.abs(wanted).max()) == level
     poles = np.array([0.95 + 0.2j, 0.9 + 0.1j, 0.99995 + 0j])
     for feedthrough, offset in ((True, True), (False, False)):
         held = modal_least_squares.FilterBank(poles, z[:2], z[2:], feedthrough, offset)

@@ -44,12 +44,39 @@ class Factor:
         return self.rows * (2 * self.nu + self.ny)
 
 
-def factor(u: FloatArray, y: FloatArray, rows: int) -> Factor:
-    """Return the factor of a record `(nu, n)`, `(ny, n)` with `rows` block rows of past and of future."""
+def factor(u: FloatArray, y: FloatArray, rows: int, centred: bool = True) -> Factor:
+    """Return the factor of a record `(nu, n)`, `(ny, n)` with `rows` block rows of past and of future.
+
+    `centred`: whether every row of the Hankel matrix loses its own mean, see `without_levels`.
+    """
     from ultraquiet.identify.subspace.kernels import hankel_gram
 
     z = np.ascontiguousarray(np.vstack([u, y]))
-    return factored(hankel_gram(z, 2 * rows), u.shape[0], y.shape[0], rows, u.shape[1])
+    G = hankel_gram(z, 2 * rows)
+    if centred:
+        G = without_levels(G, z.sum(axis=1), z[:, : 2 * rows], z[:, -2 * rows :], z.shape[1])
+    return factored(G, u.shape[0], y.shape[0], rows, u.shape[1])
+
+
+def without_levels(G: FloatArray, total: FloatArray, head: FloatArray, tail: FloatArray, samples: int) -> FloatArray:
+    """Return the Gram matrix of a block Hankel matrix whose rows have each lost their mean.
+
+    Outputs answer inputs from the state that a record begins in, so that their mean is not what the inputs' mean does:
+    signals without their means still differ from a linear system's by a constant, which a subspace takes for a mode at
+    z = 1 and bends the others to. Rows without their means differ by none.
+
+    Args:
+        G: of the Hankel matrix of signals `(m, samples)`, `(rows m, rows m)`.
+        total: sums of the signals, `(m,)`.
+        head: their first `rows` samples or more.
+        tail: their last `rows` samples.
+        samples: of the signals.
+    """
+    rows = len(G) // len(total)
+    before = np.cumsum(np.pad(head[:, : rows - 1], ((0, 0), (1, 0))), axis=1)
+    after = np.cumsum(np.pad(tail[:, :-rows:-1], ((0, 0), (1, 0))), axis=1)[:, ::-1]
+    sums = (total[:, None] - before - after).T.ravel()
+    return G - np.outer(sums, sums) / (samples - rows + 1)
 
 
 def factored(G: FloatArray, nu: int, ny: int, rows: int, samples: int) -> Factor:
@@ -62,9 +89,11 @@ def factored(G: FloatArray, nu: int, ny: int, rows: int, samples: int) -> Factor
     return Factor(np.linalg.cholesky(G).astype(np.float64), nu, ny, rows, samples)
 
 
-def observability(u: FloatArray, y: FloatArray, rows: int, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:
-    """Return basis and singular values of the extended observability matrix, `(rows ny, .)`; see `directions`."""
-    return directions(factor(u, y, rows), weight)
+def observability(
+    u: FloatArray, y: FloatArray, rows: int, weight: str = "moesp", centred: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return basis and singular values of the extended observability matrix; see `factor` and `directions`."""
+    return directions(factor(u, y, rows, centred), weight)
 
 
 def directions(lq: Factor, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:

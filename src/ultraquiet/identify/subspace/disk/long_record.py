@@ -163,7 +163,9 @@ def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Itera
         sums.add(np.vstack([u - data.input_level, y]))
     products = sums.products()
     for rows in horizons:
-        factor = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
+        G = hankel_gram(products, sums, 2 * rows)
+        G = hankel.without_levels(G, sums.mean * sums.samples, sums.head, sums.tail[:, -2 * rows :], data.samples)
+        factor = hankel.factored(G, nu, ny, rows, data.samples)
         bank_at = partial(_bank, settings, data, f"subspace: least squares at horizon {rows}")
         start = SubspaceStart.of(Horizon.of(factor, settings.weight), order, bank_at)
         yield start.pruned() if settings.given_order is None else start
