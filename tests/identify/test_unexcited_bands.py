@@ -98,19 +98,34 @@ def test_units_of_a_record_change_nothing_beyond_its_band(seed, unit):
         assert apart < 1e-6
 
 
+def on_disk(record, folder):
+    path = folder / "record.h5"
+    with LongWriter(path, record.rate_hz, record.actuators, record.sensors) as file:
+        file.append(record.inputs, record.outputs)
+    return LongRecord(path)
+
+
 def test_a_record_on_disk_has_the_same_silent_bands(seed, tmp_path):
     """The model of samples in single precision is that in memory (where its bands are unheard, a hundred times off)."""
     plant = flexible()
     record = recorded(plant, 3000, 0.03, seed)
-    path = tmp_path / "record.h5"
-    with LongWriter(path, record.rate_hz, record.actuators, record.sensors) as file:
-        file.append(record.inputs, record.outputs)
-    found = [uq.identify.Subspace(order=20, horizon=20).identify(each) for each in (record, LongRecord(path))]
+    both = record, on_disk(record, tmp_path)
+    found = [uq.identify.Subspace(order=20, horizon=20).identify(each) for each in both]
     memory, disk = (sizes(each.state_space(), plant) for each in found)
     assert found[0].status.word == found[1].status.word
     assert found[0].details["spare_modes"] == found[1].details["spare_modes"]
     print(f"memory and disk: {memory[0]:.2%} and {disk[0]:.2%} off inside, {memory[1]:.3f} and {disk[1]:.3f} beyond")
     assert disk == pytest.approx(memory, rel=0.02)
+
+
+@pytest.mark.parametrize(("drawn", "unit"), [(21, 1.0), (31, 1e9)])
+def test_modes_are_spare_on_disk_that_are_spare_in_memory(drawn, unit, tmp_path):
+    """Noise that tops up the inputs tells no mode from another: what the record holds itself decides."""
+    drawn = recorded(flexible(), 3000, 0.03, drawn)
+    record = uq.Record(drawn.inputs / unit, unit * drawn.outputs, drawn.rate_hz)
+    method = uq.identify.Subspace(order=20, horizon=20)
+    spare = [method.identify(each).details["spare_modes"] for each in (record, on_disk(record, tmp_path))]
+    assert spare[0] == spare[1] > 0
 
 
 def test_without_noise_the_plant_is_found_as_before():

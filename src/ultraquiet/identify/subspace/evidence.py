@@ -201,7 +201,19 @@ def spare_modes(system: System, data: Scaled, predicts: bool) -> int:
     order = len(A)
     x = response.simulate(A, B, np.eye(order), np.zeros((order, len(drive))), drive, x0)
     rows = np.vstack([x, data.u, np.ones((1, n))])
-    N = rows @ rows.T
+    return spare_of(form, rows @ rows.T, np.mean(error**2, axis=1), len(drive), n)
+
+
+def spare_of(form: balance.Coordinates, N: FloatArray, squares: FloatArray, drives: int, n: int) -> int:
+    """Return how many modes of a form cannot be told from noise; see `spare_modes`.
+
+    Args:
+        form: modal coordinates of the model.
+        N: products of its states, the inputs and one, over the record.
+        squares: mean squared error of each output.
+        drives: signals that drive the states.
+        n: samples.
+    """
     size = np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
     inverse = np.linalg.pinv(N / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
     at, spare = 0, 0
@@ -210,8 +222,8 @@ def spare_modes(system: System, data: Scaled, predicts: bool) -> int:
         at += states
         c = form.C[:, block]
         raised = np.einsum("ia,ab,ib->i", c, np.linalg.pinv(inverse[block, block]), c)
-        carried = float(np.sum(raised / np.maximum(np.mean(error**2, axis=1), np.finfo(float).tiny)))
-        spare += carried < states * (ny + len(drive)) * np.log(n)
+        carried = float(np.sum(raised / np.maximum(squares, np.finfo(float).tiny)))
+        spare += int(carried < states * (len(squares) + drives) * np.log(n))
     return spare
 
 

@@ -29,7 +29,7 @@ from ultraquiet.identify.subspace import (
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Horizon, SubspaceStart
-from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg import balance, portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status, StatusWord
 
@@ -133,7 +133,7 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
     allowing = settings.allowing_feedthrough()
     best = min(_starts(allowing, data, order), key=lambda s: s.loss)
     settings, best = settings.of_start(best if settings.refine else _replenished(allowing, data, best))
-    bank, modes, steps, converged = _finished(settings, data, best)
+    modes, steps, converged = _finished(settings, data, best)
     early = data.first(NOISE_SAMPLES)
     system = fit.system(modes)
     system = replace(system, K=fit.noise_gain(system, best.innovations(early), early))
@@ -143,7 +143,6 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
         "order": len(system.A),
         "singular_values": best.horizon.values,
         "samples": data.samples,
-        "spare_modes": int(np.count_nonzero(modal_least_squares.told(bank, modes) < 1.0)),
     }
     return _judged(system, data, (steps, converged), provenance, details)
 
@@ -198,19 +197,17 @@ def _replenished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceS
     return replace(best, loss=loss, bank=bank, modes=modes) if loss < best.loss else best
 
 
-def _finished(
-    settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart
-) -> tuple[FilterBank, Modes, int, bool]:
-    """Return bank and modes after the last rounds, poles refined when asked for, the search's steps and its end."""
+def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> tuple[Modes, int, bool]:
+    """Return the modes after the last rounds, poles refined when asked for, the search's steps and its end."""
     if not settings.refine:
-        return best.bank, best.settled(), 0, True
+        return best.settled(), 0, True
     piece = _stretch(data)
     refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
     modes = alternate(bank, directions, ROUNDS, GAIN)
     better = modal_least_squares.cost(bank, modes) < modal_least_squares.cost(best.bank, best.modes)
-    return (bank, modes, steps, converged) if better else (best.bank, best.modes, steps, converged)
+    return modes if better else best.modes, steps, converged
 
 
 def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
@@ -244,7 +241,10 @@ def _judged(
     memory = min(evidence.RESIDUAL_LAGS, data.samples // 10)
     simulated, predicted = Lagged(ny + nu, lags + memory), Lagged(ny, lags)
     heard = [Lagged(2, min(prediction.MEMORY, data.samples // 10)) for _ in range(ny)]
-    for u, y, v, e in _errors(system, data):
+    seen = np.zeros((len(system.A) + nu + 1,) * 2)
+    for u, y, v, e, x in _errors(system, data):
+        rows = np.vstack([x, u, np.ones((1, u.shape[1]))])
+        seen += rows @ rows.T
         simulated.add(np.vstack([v, u]))
         predicted.add(e)
         for sums, own, miss in zip(heard, y, v, strict=True):
@@ -255,7 +255,8 @@ def _judged(
     spread = predicted.products()[0] / n
     squares = np.diag(simulated.products()[0])[:ny] / n
     numbers = chance.numbers_of(len(system.A), nu)
-    beyond = evidence.too_many(details["spare_modes"], len(system.A))
+    spare = _spare_modes(system, seen, squares, n)
+    beyond = evidence.too_many(spare, len(system.A))
     statuses = [
         chance.unless_silent(
             _verdict(p, *search, noiseless(float(squares[i])) or beyond),
@@ -283,13 +284,22 @@ def _judged(
         iterations=np.full(ny, search[0], dtype=np.int64),
         statuses=tuple(statuses),
         provenance=provenance,
-        details=details,
+        details={**details, "spare_modes": spare},
         no_band="no band: the record was read in blocks; identify a part of it in memory with refine=True for one.",
     )
 
 
-def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Yield inputs, outputs, simulated and one-step errors block by block."""
+def _spare_modes(system: fit.System, seen: FloatArray, squares: FloatArray, n: int) -> int:
+    """Return `evidence.spare_modes` from the products `seen` of states, inputs and one over the whole record."""
+    nu, order = system.B.shape[1], len(system.A)
+    form = balance.modal(system.A, np.hstack([system.B, system.K, system.x0[:, None]]), system.C)
+    to_modes = np.eye(order + nu + 1)
+    to_modes[:order, :order] = form.inverse
+    return evidence.spare_of(form, to_modes @ seen @ to_modes.T, squares, nu, n)
+
+
+def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield inputs, outputs, simulated and one-step errors, and the states of the former, block by block."""
     from ultraquiet.identify.subspace.disk.long_record_bank import simulated
 
     inner = np.ascontiguousarray(system.A - system.K @ system.C)
@@ -300,8 +310,9 @@ def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray
         states = np.empty((len(A), u.shape[1]))
         simulated(A, system.B @ u, x, states)
         miss = v - system.C @ states
-        simulated(inner, into @ u + system.K @ (y - system.constant[:, None]), z, states)
-        yield u, y, miss, v - system.C @ states
+        inner_states = np.empty_like(states)
+        simulated(inner, into @ u + system.K @ (y - system.constant[:, None]), z, inner_states)
+        yield u, y, miss, v - system.C @ inner_states, states
 
 
 def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> float:
