@@ -39,8 +39,9 @@ class FilteredXLms(StatedRobustness):
 
     w+ = (1 - leak) w - step F' (F F' + floor)^-1 e, e = y0 + F w: F holds the references filtered by the plant, one
     window for each error, y0 the errors without the law. Normalised by the matrix F F', the step converges in the mean
-    for 0 < step < 2 on the true model, in weak directions as fast as in strong ones. What the commands do to the
-    references is taken out by the model.
+    for 0 < step < 2 on the true model, in every direction that a sample's errors tell as fast as in the strongest. Of a
+    single tone that one strong actuator answers, they tell little of a weak one: that waits, longest near 0 and 2. What
+    the commands do to the references is taken out by the model.
 
     differs from the textbook: the references are filtered by the identified state space itself, balanced, because a
     finite response of a lightly damped structure would need thousands of taps; the error is the modified one, y0 + F w,
