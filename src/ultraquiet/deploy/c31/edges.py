@@ -7,17 +7,35 @@ from ultraquiet.deploy.c31.assembly import VOLTS_PER_COUNT
 from ultraquiet.deploy.c31.pushes import FULL, Push, answers
 from ultraquiet.deploy.c31.twin import C31Twin
 
+# Of the converter's range, to go towards a limit that one frame does not reach: the opposites of what drove a command
+# there bring it back where others' corrections hold it, but may carry it far past; the quieter, the less.
+NUDGES = (1.0, 0.25, 0.0)
+PATIENCE = 64  # frames of such a way back, or as many as its push has
+
 
 def edges(twin: C31Twin, push: Push) -> list[NDArray[np.int64]]:
     """Play a push from rest and return codes, frame by frame after it, that bring its command back to its limit.
 
     A count beyond it first, then a count within. While commands go to their limits together, what is cut off one and
     what is asked of the next lie beyond a limit together too, and to compare the wrong one of them would not be
-    noticed. Where measurements within the converter's range do not stop it there it passes the limit as it comes.
+    noticed. Where measurements within the converter's range do not stop it there, neither at once nor after some
+    frames towards it, it passes the limit as it comes.
 
     Args:
         twin: of the law; it is left where the last of these frames leaves it.
         push: what drives the command beyond its limit.
+    """
+    for towards in (None, *NUDGES):
+        rows, stopped = _way_back(twin, push, towards)
+        if stopped:
+            return rows
+    return _way_back(twin, push, None)[0]
+
+
+def _way_back(twin: C31Twin, push: Push, towards: float | None) -> tuple[list[NDArray[np.int64]], bool]:
+    """Return codes after a push from rest, and whether they stop its command on both sides of its limit.
+
+    A frame that does not reach the limit goes `towards` it at this share of the range, or is the push's opposite, None.
     """
     twin.reset()
     for counts in push.counts:
@@ -27,21 +45,27 @@ def edges(twin: C31Twin, push: Push) -> list[NDArray[np.int64]]:
     later = int(not np.any(answered[0]))
     signs, gain = np.sign(answered[later]).astype(np.int64), np.abs(answered[later]).sum() * VOLTS_PER_COUNT
     if not gain:
-        return []
+        return [], False
     limit = twin.limits[push.command, (push.side + 1) // 2]
     made, met = list[NDArray[np.int64]](), 0
-    for back in -push.counts:  # they drove it there, and their opposites bring it back
+    ways = (
+        [*-push.counts] if towards is None else [None] * max(PATIENCE, len(push.counts))
+    )  # opposites of what drove it there
+    for back in ways:
         code = (limit - _free(twin, push.command, later)) / gain
         reached = abs(code) < FULL - 2
-        row = signs * (round(code) + push.side * (1, -1)[met]) if reached else back
+        if reached:
+            row = signs * (round(code) + push.side * (1, -1)[met])
+        else:
+            row = back if back is not None else signs * int(np.sign(code) * towards * (FULL - 1))
         rows = [row, *[np.zeros_like(row)] * (later * reached)]
         for each in rows:
             twin.frame(each)
         made, met = [*made, *rows], met + reached
         within = push.side * (twin.u[push.command] - limit) < 0
-        if met == 2 or (within and not reached):
+        if met == 2 or (within and not reached and towards is None):
             break
-    return made
+    return made, met == 2
 
 
 def _free(twin: C31Twin, command: int, later: int) -> float:
