@@ -218,7 +218,11 @@ def lean_against_full(rng, modes, channels, noise_share):
     return fit.model.states / (2 * modes), fit.error[1] / held_out_before
 
 
-@pytest.mark.parametrize("channels", [(2, 2), (4, 3), (3, 5)])
+# Precision that is not worth a state is given up: 7 of 91 plants lose by it, five of these no more than 0.11 %.
+TWO_BY_TWO = pytest.param((2, 2), marks=pytest.mark.draws(false_alarm=0.1))
+
+
+@pytest.mark.parametrize("channels", [TWO_BY_TWO, (4, 3), (3, 5)])
 def test_a_mode_costs_two_states(first_seed, channels):
     states, error = lean_against_full(np.random.default_rng(first_seed), 6, channels, 1e-2)
     assert states <= 1.0
