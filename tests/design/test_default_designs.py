@@ -102,8 +102,8 @@ def test_other_units_change_neither_the_design_nor_the_verdict(seed, design):
             assert other.margins[side].disk_all == pytest.approx(first.margins[side].disk_all, rel=1e-3)
 
 
-def test_rows_and_columns_of_an_even_plant_weigh_alike_over_its_own_band(seed):
-    plant = ordinary(np.random.default_rng(seed), (4, 3))
+def weighs_alike(plant):
+    """Assert that rows and columns have mean square one over the plant's own band, and that it is quiet outside."""
     even = even_plant(plant)
     low, high = even.band_hz
     G = even.plant.frequency_response(even.f_hz)
@@ -117,6 +117,16 @@ def test_rows_and_columns_of_an_even_plant_weigh_alike_over_its_own_band(seed):
     largest = np.linalg.norm(np.moveaxis(G, 2, 0), 2, axis=(1, 2)).max()
     beyond = np.linalg.norm(np.moveaxis(even.plant.frequency_response(outside), 2, 0), 2, axis=(1, 2))
     assert beyond.max() < 0.1 * largest
+
+
+def test_rows_and_columns_of_an_even_plant_weigh_alike_over_its_own_band(seed):
+    weighs_alike(ordinary(np.random.default_rng(seed), (4, 3)))
+
+
+@pytest.mark.parametrize(("drawn", "shape"), [(53, (4, 3)), (53, (3, 5)), (15, (3, 5))])
+def test_they_do_where_a_mode_stands_at_the_edge_of_the_band(drawn, shape):
+    """By the scales of a band without it the mode is within 20 dB of the largest, by those of one with it beyond."""
+    weighs_alike(ordinary(np.random.default_rng(drawn), shape))
 
 
 def test_a_channel_without_effect_is_left_alone():

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import FloatArray, frozen, rising_band
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frozen, rising_band
 from ultraquiet._base.provenance import ByContents
 from ultraquiet.analyse.margins import bounded_grid, bounded_response
 from ultraquiet.analyse.peaks import response_at
@@ -16,7 +16,9 @@ from ultraquiet.values.state_space import StateSpace
 
 HIGHEST = 0.4  # of the sampling rate; nearer to Nyquist a corner has no room to rise
 WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
-ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
+# The band depends on the scales and they on it. It stands still after two, but where a mode at its edge is within 20 dB
+# by the scales of a band without it and beyond by those of one with it: after these it only grows.
+ROUNDS = 4
 LINES = 200  # over a given band, besides those of the poles
 FEW = 16  # lines on which a channel that answers is heard
 COUPLING = 0.1  # of the largest gain of its row and of its column: what is less joins no channels
@@ -125,21 +127,28 @@ def _even(asked: ByContents[StateSpace], band_hz: tuple[float, float] | None) ->
     power, widths = np.abs(G) ** 2, _widths(f)
     # powers of squares of units many decades apart: the largest of each row and column first
     y, u = unit_peaks(power)
-    inside = np.ones(f.size, dtype=bool)
-    for _ in range(ROUNDS):
+    inside, rounds, still = np.ones(f.size, dtype=bool), 0, False
+    while rounds < ROUNDS or not still:
         share = inside * widths / np.sum(inside * widths)
         mean = np.einsum("f,fij->ij", share, power * (y**2)[:, None] * u**2)
         rows, columns = _sinkhorn(mean)
-        y, u = y * rows, u * columns
-        if band_hz is None:
-            sizes = np.linalg.norm(G * y[:, None] * u, 2, axis=(1, 2))
-            near = np.flatnonzero(sizes >= WITHIN * sizes.max(initial=0.0))
-            inside = (np.arange(f.size) >= near[0]) & (np.arange(f.size) <= near[-1])
+        y, u, rounds = y * rows, u * columns, rounds + 1
+        found = inside if band_hz is not None else _answering(G * y[:, None] * u)
+        if rounds > ROUNDS:
+            found |= inside
+        inside, still = found, np.array_equal(found, inside)
     lines = f[inside]
     states = evened(plant.A, plant.B * u, plant.C * y[:, None])
     even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
     from_rest = band_hz is None and bool(inside[0])
     return EvenPlant(even, frozen(u), frozen(y), (float(lines[0]), float(lines[-1])), frozen(lines), from_rest)
+
+
+def _answering(G: ComplexArray) -> NDArray[np.bool_]:
+    """Return which lines of a response `(f, ny, nu)` lie between the first and the last within 20 dB of the largest."""
+    sizes = np.linalg.norm(G, 2, axis=(1, 2))
+    near, k = np.flatnonzero(sizes >= WITHIN * sizes.max(initial=0.0)), np.arange(sizes.size)
+    return (k >= near[0]) & (k <= near[-1])
 
 
 def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
