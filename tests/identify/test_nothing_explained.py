@@ -154,6 +154,7 @@ def test_noise_on_disk_is_no_mode(rng, tmp_path):
     assert {status.word for status in found.statuses} == {"poor fit"}
 
 
+@pytest.mark.draws(false_alarm=4e-3)  # in memory and on disk, two tests at the level of a thousandth that come first
 def test_what_explodes_when_simulated_is_ok_in_no_way(rng, tmp_path):
     """A plant that grows by 5 % a sample, held by feedback: what predicts a step of it white simulates nothing."""
     u, y = np.zeros((2, 1, 2000))
