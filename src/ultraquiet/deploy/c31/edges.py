@@ -25,11 +25,12 @@ def edges(twin: C31Twin, push: Push) -> list[NDArray[np.int64]]:
         twin: of the law; it is left where the last of these frames leaves it.
         push: what drives the command beyond its limit.
     """
-    for towards in (None, *NUDGES):
+    rows = list[NDArray[np.int64]]()
+    for towards in (None, *NUDGES, None):  # where none stops it the twin is left by the first way, once more
         rows, stopped = _way_back(twin, push, towards)
         if stopped:
-            return rows
-    return _way_back(twin, push, None)[0]
+            break
+    return rows
 
 
 def _way_back(twin: C31Twin, push: Push, towards: float | None) -> tuple[list[NDArray[np.int64]], bool]:
@@ -48,16 +49,16 @@ def _way_back(twin: C31Twin, push: Push, towards: float | None) -> tuple[list[ND
         return [], False
     limit = twin.limits[push.command, (push.side + 1) // 2]
     made, met = list[NDArray[np.int64]](), 0
-    ways = (
-        [*-push.counts] if towards is None else [None] * max(PATIENCE, len(push.counts))
-    )  # opposites of what drove it there
-    for back in ways:
+    frames = len(push.counts)
+    for k in range(frames if towards is None else max(PATIENCE, frames)):
         code = (limit - _free(twin, push.command, later)) / gain
         reached = abs(code) < FULL - 2
         if reached:
             row = signs * (round(code) + push.side * (1, -1)[met])
+        elif towards is None:
+            row = -push.counts[k]  # opposites of what drove it there bring it back
         else:
-            row = back if back is not None else signs * int(np.sign(code) * towards * (FULL - 1))
+            row = signs * int(np.sign(code) * towards * (FULL - 1))
         rows = [row, *[np.zeros_like(row)] * (later * reached)]
         for each in rows:
             twin.frame(each)
