@@ -44,17 +44,15 @@ class Factor:
         return self.rows * (2 * self.nu + self.ny)
 
 
-def factor(u: FloatArray, y: FloatArray, rows: int, centred: bool = True) -> Factor:
+def factor(u: FloatArray, y: FloatArray, rows: int) -> Factor:
     """Return the factor of a record `(nu, n)`, `(ny, n)` with `rows` block rows of past and of future.
 
-    `centred`: whether every row of the Hankel matrix loses its own mean, see `without_levels`.
+    Every row of the Hankel matrix loses its own mean, see `without_levels`.
     """
     from ultraquiet.identify.subspace.kernels import hankel_gram
 
     z = np.ascontiguousarray(np.vstack([u, y]))
-    G = hankel_gram(z, 2 * rows)
-    if centred:
-        G = without_levels(G, z.sum(axis=1), z[:, : 2 * rows], z[:, -2 * rows :], z.shape[1])
+    G = without_levels(hankel_gram(z, 2 * rows), z.sum(axis=1), z[:, : 2 * rows], z[:, -2 * rows :], z.shape[1])
     return factored(G, u.shape[0], y.shape[0], rows, u.shape[1])
 
 
@@ -89,11 +87,9 @@ def factored(G: FloatArray, nu: int, ny: int, rows: int, samples: int) -> Factor
     return Factor(np.linalg.cholesky(G).astype(np.float64), nu, ny, rows, samples)
 
 
-def observability(
-    u: FloatArray, y: FloatArray, rows: int, weight: str = "moesp", centred: bool = True
-) -> tuple[FloatArray, FloatArray]:
-    """Return basis and singular values of the extended observability matrix; see `factor` and `directions`."""
-    return directions(factor(u, y, rows, centred), weight)
+def observability(u: FloatArray, y: FloatArray, rows: int, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:
+    """Return basis and singular values of the extended observability matrix, `(rows ny, .)`; see `directions`."""
+    return directions(factor(u, y, rows), weight)
 
 
 def directions(lq: Factor, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:
