@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from test_streaming import stored
 
 import ultraquiet as uq
-from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.subspace import unexcited
 from ultraquiet.identify.subspace.fit import Scaled
 from ultraquiet.identify.subspace.unexcited import silent_bands, topped_up
@@ -98,18 +98,11 @@ def test_units_of_a_record_change_nothing_beyond_its_band(seed, unit):
         assert apart < 1e-6
 
 
-def on_disk(record, folder):
-    path = folder / "record.h5"
-    with LongWriter(path, record.rate_hz, record.actuators, record.sensors) as file:
-        file.append(record.inputs, record.outputs)
-    return LongRecord(path)
-
-
 def test_a_record_on_disk_has_the_same_silent_bands(seed, tmp_path):
     """The model of samples in single precision is that in memory (where its bands are unheard, a hundred times off)."""
     plant = flexible()
     record = recorded(plant, 3000, 0.03, seed)
-    both = record, on_disk(record, tmp_path)
+    both = record, stored(tmp_path, record, "float32")
     found = [uq.identify.Subspace(order=20, horizon=20).identify(each) for each in both]
     memory, disk = (sizes(each.state_space(), plant) for each in found)
     assert found[0].status.word == found[1].status.word
@@ -124,7 +117,7 @@ def test_modes_are_spare_on_disk_that_are_spare_in_memory(drawn, unit, tmp_path)
     drawn = recorded(flexible(), 3000, 0.03, drawn)
     record = uq.Record(drawn.inputs / unit, unit * drawn.outputs, drawn.rate_hz)
     method = uq.identify.Subspace(order=20, horizon=20)
-    spare = [method.identify(each).details["spare_modes"] for each in (record, on_disk(record, tmp_path))]
+    spare = [method.identify(each).details["spare_modes"] for each in (record, stored(tmp_path, record, "float32"))]
     assert spare[0] == spare[1] > 0
 
 

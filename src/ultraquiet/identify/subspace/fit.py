@@ -258,8 +258,8 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
     def size(one: SystemFit) -> float:
         return data.samples * log_size(one.system.errors(data.u, data.y), options.weighted)
 
-    better = min(kept, mirrored, key=size)
-    ended = found.converged and size(better) - size(found) <= AT_THE_EDGE
+    least, better = min((size(kept), kept), (size(mirrored), mirrored), key=lambda sized: sized[0])
+    ended = found.converged and least - size(found) <= AT_THE_EDGE
     return SystemFit(better.system, found.steps + kept.steps, ended)
 
 
