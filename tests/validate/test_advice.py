@@ -78,7 +78,13 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("about", FAULTS)
+def each_fault():
+    """What order 3 leaves of an order-5 truth is heard in 432 of 496 records: in 4 of 8 or fewer once in 80 draws."""
+    weak = pytest.mark.draws(false_alarm=0.02)
+    return [pytest.param(about, marks=weak if about == "order too low" else ()) for about in FAULTS]
+
+
+@pytest.mark.parametrize("about", each_fault())
 def test_a_fault_is_named(about, rng):
     count = heard(rng, *FAULTS[about])
     print(f"\n{about}: named in {count[about]} of {DRAWS}; heard {dict(count)}")
