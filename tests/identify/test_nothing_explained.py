@@ -84,7 +84,12 @@ def test_what_a_noise_model_tells_of_an_output_is_not_the_inputs(stable, rng):
     assert found.status.word == "poor fit"
 
 
-@pytest.mark.parametrize("method", FOUND)
+# One pass of a recursion ends now and then at a model that explains nothing: 2 of 3680 draws, of 460 of output error.
+ONE_PASS = pytest.mark.draws(false_alarm=5e-3)
+BY_ALL = [pytest.param(name, marks=ONE_PASS if name.startswith("recursive") else ()) for name in FOUND]
+
+
+@pytest.mark.parametrize("method", BY_ALL)
 @pytest.mark.parametrize("colour", [0.0, 0.95])
 def test_a_slow_mode_under_loud_noise_is_not_called_nothing(method, colour, rng):
     plant = uq.StateSpace([[0.99]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
