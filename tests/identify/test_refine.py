@@ -142,35 +142,52 @@ def test_a_pair_becomes_two_reals_on_the_way(rng):
 
 
 def integrating(nu, ny, rng):
-    """Return a record of an integrator and a damped pair, and its noise as a share of what is without it."""
+    """Return a record of an integrator and a damped pair, its noise as a share of what is without it, and `known_to`.
+
+    That is the deviation of the integrator's pole p. With the walk x_j of each input, dy_i/dp = c_i sum_k b x_k; what a
+    constant, the initial state (together they make a ramp of p^t) and the gains towards each walk can take of it tells
+    nothing of p: 1 / sqrt(sum_i |rest_i|^2 / sigma_i^2).
+    """
     A = np.asarray(block_diag([[1.0]], [[0.9, 0.3], [-0.3, 0.9]]))
     B, C = (rng.uniform(0.5, 1.0, shape) * rng.choice([-1.0, 1.0], shape) for shape in ((3, nu), (ny, 3)))
     B[0] *= 0.03
     plant = uq.StateSpace(A, 1e-3 * B, 1e-6 * C, np.zeros((ny, nu)), rate_hz=100.0)
     u = 1e3 * rng.standard_normal((nu, 2000))
     clean = plant.simulate(u)
-    noise = 0.05 * clean.std(axis=1, keepdims=True) * rng.standard_normal(clean.shape)
+    sigma = 0.05 * clean.std(axis=1, keepdims=True)
+    noise = sigma * rng.standard_normal(clean.shape)
     share = np.linalg.norm(noise, axis=1) / np.linalg.norm(clean - clean.mean(axis=1)[:, None], axis=1)
-    return uq.Record(u, clean + noise, 100.0), share
+    walks = np.cumsum(u, axis=1)
+    taken = np.vstack([np.ones(2000), np.arange(2000), walks]).T
+    rest = np.cumsum(plant.B[0] @ walks)
+    rest -= taken @ np.linalg.lstsq(taken, rest, rcond=None)[0]
+    known_to = 1 / np.linalg.norm(rest * plant.C[:, :1] / sigma)
+    return uq.Record(u, clean + noise, 100.0), share, known_to
 
 
-@pytest.mark.parametrize("method", [uq.identify.Subspace(order=3, refine=True), uq.identify.PredictorSubspace(order=3)])
+# Each channel is tested twice at a thousandth; beside an integrator 8 of 300 draws are not white or not converged.
+BESIDE_AN_INTEGRATOR = pytest.param(
+    uq.identify.PredictorSubspace(order=3), marks=pytest.mark.draws(false_alarm=0.05), id="predictor"
+)
+
+
+@pytest.mark.parametrize("method", [uq.identify.Subspace(order=3, refine=True), BESIDE_AN_INTEGRATOR])
 @pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
 def test_an_integrator_is_refined_to_one(method, nu, ny, rng):
     """Noise draws its pole over the circle in one of two records; there no minimum lies inside."""
-    record, share = integrating(nu, ny, rng)
+    record, share, known_to = integrating(nu, ny, rng)
     found, reached = method.identify(record), 100 * (1 - share)
     slowest = found.model.poles()[np.abs(found.model.poles()).argmax()]
-    print(found.status, found.fit_percent - reached, 1 - slowest)
+    print(found.status, found.fit_percent - reached, (1 - slowest) / known_to)
     assert found.status.ok
     assert found.model.is_stable()
-    assert abs(1 - slowest) < 1e-4
+    assert abs(1 - slowest) < 4.5 * known_to
     np.testing.assert_allclose(found.fit_percent, reached, atol=0.1)
 
 
 def test_a_pole_that_noise_draws_over_the_circle_is_kept_inside_at_no_loss():
     """Mirrored at the search's end alone it would stand away from every minimum: the loss here a tenth higher."""
-    record, share = integrating(5, 3, np.random.default_rng(902))
+    record, share, _ = integrating(5, 3, np.random.default_rng(902))
     found = uq.identify.PredictorSubspace(order=3).identify(record)
     noise = share**2 * record.outputs.var(axis=1)
     print(found.status, found.loss / noise)
