@@ -250,6 +250,34 @@ def test_ctrl_c_ramps_to_zero_and_says_where_everything_stands(laboratory, tmp_p
     assert rows["never"] == ("NOT STARTED", "")
 
 
+ASKED_AGAIN = """
+import atexit, os, signal, sys
+from ultraquiet.cli.experiment.halt import halting
+signal.signal(signal.{name}, signal.{usual})
+ask = lambda: os.kill(os.getpid(), signal.{name})
+with halting(ends_program=True):
+    {asked}
+atexit.register(ask)
+ask()
+sys.exit(130)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals to processes are POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_a_program_that_is_on_its_way_out_is_not_ended_by_the_same_wish_again(name):
+    """Nor while Python takes itself apart; before the first wish a signal is what it was."""
+    usual = "default_int_handler" if name == "SIGINT" else "SIG_DFL"
+
+    def ended(asked):
+        words = [sys.executable, "-c", ASKED_AGAIN.format(name=name, usual=usual, asked=asked)]
+        return subprocess.run(words, capture_output=True, text=True, check=False)
+
+    twice = ended("ask()")
+    assert (twice.returncode, twice.stderr) == (130, "")
+    assert ended("pass").returncode == -getattr(signal, name)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals to processes are POSIX")
 def test_under_nohup_a_run_outlives_its_terminal(laboratory, tmp_path):

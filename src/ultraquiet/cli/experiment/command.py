@@ -43,7 +43,7 @@ def experiment(
         return
     folder = out or Path(commands.stem)
     try:
-        with halting() as halt, watching(halt.requested, show.quiet) as onlooker:
+        with halting(ends_program=True) as halt, watching(halt.requested, show.quiet) as onlooker:
             records = experiments.run(
                 listed,
                 folder,

@@ -32,10 +32,14 @@ class Halt:
 
 
 @contextmanager
-def halting() -> Iterator[Halt]:
+def halting(ends_program: bool = False) -> Iterator[Halt]:
     """Turn SIGINT and the signals that end a program into a wish that the run asks for, block of samples by block.
 
     SIGHUP and SIGQUIT stay ignored where they are, as under `nohup`; afterwards every handler is what it was.
+
+    Args:
+        ends_program: whether the program ends once the wish has come. The same wish again must not end it with another
+            exit code, before it has said where everything stands: what would do so is ignored from then on.
     """
     halt = Halt()
     if threading.current_thread() is not threading.main_thread():
@@ -49,4 +53,6 @@ def halting() -> Iterator[Halt]:
         yield halt
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            sudden = handler in (signal.SIG_DFL, signal.default_int_handler)
+            ending = ends_program and halt.requested()
+            signal.signal(number, signal.SIG_IGN if sudden and ending else handler)
