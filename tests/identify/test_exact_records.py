@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet.linalg import vector_fitting
 
 METHODS = {
     "subspace": uq.identify.Subspace(order=4),
@@ -93,3 +94,20 @@ def test_poles_at_the_origin_take_no_logarithm_of_zero(rng):
     with np.errstate(all="raise"):
         result = uq.identify.Rational(order=4).identify(uq.Record(u, u, 1000.0))
     assert np.isfinite(result.fit_percent[0])
+
+
+def test_a_pair_as_good_as_one_pole_at_the_origin_leaves_no_empty_function():
+    """Draws whose relocated poles were a pair 1e-20 off the origin: its second function vanished at every line."""
+    u = np.random.default_rng(3867583413).standard_normal((1, 2000))
+    with np.errstate(all="raise"):
+        result = uq.identify.Rational(order=4).identify(uq.Record(u, u, 1000.0))
+    assert np.isfinite(result.fit_percent[0])
+
+
+@pytest.mark.parametrize("apart", [1e-20, 1e-17, 1e-15])
+def test_residues_of_a_pair_that_is_nearly_one_pole(apart):
+    z = np.exp(1j * np.linspace(0.02, np.pi - 0.02, 60))
+    start = np.array([-0.3 + 1j * apart, -0.3 - 1j * apart, 0.5])
+    with np.errstate(all="raise"):
+        found = vector_fitting.fit(z, (1.0 / (z + 0.3) + 2.0 / (z - 0.8))[None, None], np.ones(60), start, 10)
+    assert found.error < 1e-9
