@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet.identify.subspace import fit
 from ultraquiet.linalg import vector_fitting
 
 METHODS = {
@@ -48,6 +49,22 @@ def test_rounding_is_given_no_noise_model():
     found = METHODS["predictor"].identify(record)
     assert found.status.ok
     assert found.fit_percent[0] > 99.9999
+
+
+def test_a_sum_of_outputs_that_is_explained_alone_is_no_end():
+    """A draw whose search explained one sum of both outputs to rounding and neither of them: it had no factor."""
+    _, record = simulated(np.random.default_rng(2422282065), 2, 3)
+    found = METHODS["predictor"].identify(record)
+    assert found.status.ok
+    assert found.fit_percent.min() > 99.9999
+
+
+def test_errors_that_are_shares_of_one_another_are_not_taken_for_none(rng):
+    e = rng.standard_normal(2000)
+    shared = np.stack([e, 2 * e])
+    none = 1e-12 * rng.standard_normal((2, 2000))
+    assert fit.log_size(none, True) < fit.log_size(shared, True)
+    assert fit.log_size(2 * shared, True) - fit.log_size(shared, True) == pytest.approx(2 * np.log(4), abs=0.1)
 
 
 @pytest.mark.parametrize("method", ["subspace", "output error"])

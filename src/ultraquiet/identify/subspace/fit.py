@@ -271,7 +271,7 @@ def log_size(e: FloatArray, weighted: bool) -> float:
     least = np.finfo(float).tiny  # of a record without noise nothing is left
     if not weighted:
         return len(covariance) * float(np.log(max(np.trace(covariance) / len(covariance), least)))
-    sign, value = np.linalg.slogdet(covariance)
+    sign, value = np.linalg.slogdet(gauss_newton.propped(covariance))
     return float(value) if sign > 0 else len(covariance) * float(np.log(least))
 
 
@@ -311,5 +311,5 @@ def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:
 
 
 def _spread(e: FloatArray) -> float:
-    sign, value = np.linalg.slogdet(e @ e.T / e.shape[1])
+    sign, value = np.linalg.slogdet(gauss_newton.propped(e @ e.T / e.shape[1]))
     return float(value) if sign > 0 and np.isfinite(value) else np.inf

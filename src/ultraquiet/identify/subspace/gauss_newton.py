@@ -26,7 +26,7 @@ SETTLED = 2e-3
 TRUSTED = 1.0  # damping above which a small step is no sign of a minimum
 EASED, STIFFENED = 0.1, 6.0
 LONGEST = 1.0  # of a step in log(-log |p|): a decay time changes by at most a factor of e
-RIDGE = 1e-13  # on unit-diagonal normal matrices: keeps their factors finite, moves no kept digit
+RIDGE = 1e-13  # of the diagonals of normal matrices and covariances: keeps their factors finite, moves no kept digit
 # A pair whose turn in a sample is this share of its decay, or less, is as good as two real poles.
 NEARLY_REAL = 1.0
 NARROWEST = 1e-3  # smallest sigma, as a share of a block's decay
@@ -202,9 +202,18 @@ def _loss(at: BlockModel, signals: Signals, weighted: bool) -> float:
     if not np.all(np.isfinite(at.covariance)):
         return np.inf
     if weighted:
-        sign, value = np.linalg.slogdet(at.covariance / n)
+        sign, value = np.linalg.slogdet(propped(at.covariance / n))
         return n * float(value) if sign > 0 else np.inf
     return n * ny * float(np.log(np.trace(at.covariance) / n))
+
+
+def propped(covariance: FloatArray) -> FloatArray:
+    """Return a covariance of errors that has a factor.
+
+    Of a record without noise a model may explain one sum of the outputs to rounding, though it misses each of them: the
+    errors are then shares of one another, and what is left of their determinant is rounding, of either sign.
+    """
+    return covariance + RIDGE * np.diag(np.diag(covariance))
 
 
 def _even(at: BlockModel) -> BlockModel:
@@ -226,7 +235,7 @@ class _Normal:
         self.at, self.held = at, np.zeros(len(at.tau), dtype=bool) if held is None else held
         n, ny = signals.outputs.shape[1], len(at.c)
         if weighted:
-            self.whiten = np.linalg.inv(np.linalg.cholesky(at.covariance / n))
+            self.whiten = np.linalg.inv(np.linalg.cholesky(propped(at.covariance / n)))
         else:
             self.whiten = np.eye(ny) * np.sqrt(ny * n / np.trace(at.covariance))
         c = np.einsum("ij,jka->ika", self.whiten, at.c)
