@@ -324,3 +324,13 @@ def test_progress_is_told(rng, tmp_path):
     print("\n" + "; ".join(h[0] for h in heard))
     assert len(passes) >= 2
     assert all(done == total == 40_000 for _, total, done in passes)
+
+
+@pytest.mark.parametrize("wires", [2, 3])
+def test_copies_of_an_output_have_a_model_as_in_memory(wires, rng, tmp_path):
+    """Their errors are shares of one another: the covariance that the model keeps had no factor in some draws."""
+    one = two_inputs(rng, 5000)
+    record = uq.Record(one.inputs, one.outputs * np.arange(1.0, 1.0 + wires)[:, None], 100.0)
+    method = uq.identify.Subspace(order=2)
+    kept, disk = method.identify(record), method.identify(stored(tmp_path, record))
+    assert np.allclose(disk.fit_percent, kept.fit_percent, rtol=0.0, atol=0.5)

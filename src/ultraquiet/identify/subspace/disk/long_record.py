@@ -20,6 +20,7 @@ from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, worst
 from ultraquiet.identify.subspace import (
     evidence,
     fit,
+    gauss_newton,
     hankel,
     missing_modes,
     modal_least_squares,
@@ -271,7 +272,7 @@ def _judged(
     statuses = [evidence.unless_clipped(*each, what="a part of it in memory") for each in at_limits]
     whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
     # Any errors of this covariance will do: the model keeps no more of them.
-    like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
+    like = np.linalg.cholesky(gauss_newton.propped(spread) + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
     model = evidence.modelled(system, like, data.record.part(0, 1), data.first(1), provenance)
     return Result(
         model=model,
