@@ -143,13 +143,39 @@ def test_a_dead_actuator_is_named_alone(unit, rng):
     assert "no sensor answers to it" in health.actuator_statuses[1].sentence
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
-def test_actuators_that_are_driven_together_are_not_blamed_for_it(unit, rng):
-    """Five actuators through three modes: none can be told from the others, all are heard; a dead sensor is named."""
+def through_three_modes(rng):
+    """Five actuators that follow from three commands, three sensors of which the second is dead."""
     u = rng.standard_normal((5, 3)) @ rng.standard_normal((3, 8192))
     y = readings(rng, u, 3)
     y[1] = rng.standard_normal(8192)
+    return u, y
+
+
+@pytest.mark.draws(false_alarm=2.5e-3)  # a test at the level of a thousandth; 5 of 5031 draws
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
+def test_actuators_that_are_driven_together_are_not_blamed_for_it(unit, rng):
+    """None of the actuators can be told from the others, all are heard; a dead sensor is named."""
+    u, y = through_three_modes(rng)
     assert channel_health([record(u, y, unit)]).named(StatusWord.DEAD) == (("acc 2",), ())
+
+
+def test_rounding_of_actuators_that_are_driven_together_explains_nothing(rng):
+    """Five inputs of three directions: what rounding made of the other two hung on the unit, and p-values on them."""
+    u, y = through_three_modes(rng)
+    (first, each), *others = (answers(record(u, y, unit)) for unit in (1.0, 1e9, 1e-9))
+    for any_p, each_p in others:
+        assert np.allclose(any_p, first, rtol=1e-6, atol=0.0)
+        assert np.allclose(each_p, each, rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.draws(false_alarm=4.5e-3)  # a test at the level of a thousandth; 2 of 1733 draws
+def test_an_actuator_beside_others_that_follow_from_each_other_is_judged_alone(rng):
+    """A dead actuator is told from two that are driven alike."""
+    u = rng.standard_normal((3, 8192))
+    u[1] = -2.0 * u[0]
+    live = u.copy()
+    live[2] = 0.0
+    assert channel_health([record(u, readings(rng, live, 3))]).named(StatusWord.DEAD) == ((), ("force 3",))
 
 
 def test_records_of_one_actuator_each_are_judged_together(rng):

@@ -15,12 +15,13 @@ LEAST_P = 1e-300  # of one line
 def answers(record: Record) -> tuple[FloatArray, FloatArray]:
     """Return p-values that a sensor's readings have nothing to do with the commands, and with each command.
 
-    The record is cut into K segments. At each line the readings `(K,)` are regressed on the spectra of the m inputs
-    that move; without an answer, the explained share of their power is Beta(m, K - m), and the share that one input
-    explains of what the others leave is Beta(1, K - m), whatever the inputs are. Lines are put together three times, by
-    the sum of -log p over the even and over the odd ones (many weak lines; neighbours of a Hann-windowed spectrum are
-    correlated by 2/3, every second one by 1/6) and by the smallest p (one strong line); three times the least counts.
-    All that is done with few long segments and with many short ones, and twice the lesser p counts (Bonferroni).
+    The record is cut into K segments. At each line the readings `(K,)` are regressed on the spectra of m inputs that
+    move, none of which follows from the others; without an answer, the explained share of their power is Beta(m, K - m)
+    and the share that one input explains of what the others leave is Beta(1, K - m), whatever the inputs are. Lines are
+    put together three times, by the sum of -log p over the even and over the odd ones (many weak lines; neighbours of a
+    Hann-windowed spectrum are correlated by 2/3, every second one by 1/6) and by the smallest p (one strong line);
+    three times the least counts. All that is done with few long segments and with many short ones, and twice the lesser
+    p counts (Bonferroni).
 
     Args:
         record: its samples; short ones (16 samples a segment) tell nothing.
@@ -43,12 +44,28 @@ def _answers(record: Record, moving: list[int], segments: int) -> tuple[FloatArr
     each_p = np.ones((len(record.sensors), len(record.actuators)))
     U = np.stack([_lines(record.inputs[j], segments) for j in moving], axis=2)
     Y = np.stack([_lines(y, segments) for y in record.outputs], axis=2)
-    any_p = _together(_explained(U, Y, len(moving)), len(moving), segments - len(moving))
+    own = _apart(U)
+    free = segments - len(own)
+    any_p = _together(_explained(U[:, :, own], Y, len(own)), len(own), free)
     for k, j in enumerate(moving):
-        last = U[:, :, [i for i in range(len(moving)) if i != k] + [k]]
         # Of inputs that follow from each other none can be told from the rest: what is heard may be each of them.
-        each_p[:, j] = any_p if _follows(last) else _together(_explained(last, Y, 1), 1, segments - len(moving))
+        if k not in own or _follows(U[:, :, [i for i in range(len(moving)) if i != k] + [k]]):
+            each_p[:, j] = any_p
+        else:
+            each_p[:, j] = _together(_explained(U[:, :, [i for i in own if i != k] + [k]], Y, 1), 1, free)
     return any_p, each_p
+
+
+def _apart(U: ComplexArray) -> list[int]:
+    """Return inputs of which none follows from those before it, and all others from them.
+
+    What rounding leaves of an input that follows is a direction of its own: any unit would decide what it explains.
+    """
+    own: list[int] = []
+    for k in range(U.shape[2]):
+        if not own or not _follows(U[:, :, [*own, k]]):
+            own.append(k)
+    return own
 
 
 def tells(record: Record) -> bool:
