@@ -48,7 +48,7 @@ def test_leakage_falls_by_the_published_order(rng):
 
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_variance_told_is_the_error_made(inputs, rng):
-    ratios = []
+    ratios, levels = [], []
     for _ in range(10):
         u = rng.standard_normal((inputs, 3000))
         taps = rng.standard_normal((inputs, 3))
@@ -59,8 +59,10 @@ def test_variance_told_is_the_error_made(inputs, rng):
         G = np.stack([filters.freqz(h, 1, 2 * np.pi * f / RATE_HZ)[1] for h in taps])
         ratios.append(np.mean(np.abs(found.response.values[0] - G) ** 2 / found.response.variance[0]))
         density = 2 / RATE_HZ * 0.01 * np.abs(filters.freqz([1.0], [1.0, -0.5], 2 * np.pi * f / RATE_HZ)[1]) ** 2
-        assert 0.9 < np.mean(found.noise[0, 0].real / density) < 1.1
-    print(f"{inputs} inputs: squared error over the variance told {np.mean(ratios):.3f}")
+        levels.append(np.mean(found.noise[0, 0].real / density))
+    print(f"{inputs} inputs: squared error over the variance told {np.mean(ratios):.3f}, noise {np.mean(levels):.3f}")
+    # One record's 1499 lines scatter by 3 %, and each of ten is seldom all within three times that: their mean by 1 %.
+    assert 0.95 < np.mean(levels) < 1.05
     # The mean of 1 / (residual power) over a chi-squared of 12 complex degrees is 12 / 11.
     assert 0.9 < np.mean(ratios) < 1.3
 
