@@ -47,6 +47,7 @@ def test_bic_and_mdl_find_order_five_of_box_jenkins(name, rng):
     assert all(order >= 5 for k in ("aic", "fpe", "aicc") for order in tally[k])
 
 
+@pytest.mark.draws(false_alarm=5e-2)  # AIC took order two of 2339 in 3816 records: 29 of 60 or fewer in 2.8 %
 def test_bic_and_mdl_find_order_two_of_arx(rng):
     def record():
         u, e = rng.standard_normal((2, 2000))
@@ -57,7 +58,8 @@ def test_bic_and_mdl_find_order_two_of_arx(rng):
     # One more order costs 2 ln n = 15 under BIC: and the four larger ones together err below 1 %.
     assert tally["bic"][2] >= 57
     assert tally["mdl"][2] >= 57
-    # AIC: P(chi-squared of 2 > 4) = 13.5 % for the next order alone.
+    # AIC: an order brings two coefficients that count and one value of the past that is fitted too, P(chi-squared of
+    # 3 > 4) = 26 % for the next order alone.
     assert tally["aic"][2] >= 30
 
 
