@@ -46,6 +46,7 @@ LEGITIMATE = {
     ("first_seed", "zero"),
     ("averages", "zero"),
     ("measured", "zero"),
+    ("uncertainty", "zero"),
     ("tune", "bool"),
     ("counts_plant", "bool"),
 }

@@ -1,7 +1,7 @@
 """Checks of arguments that produce the same sentences everywhere."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -11,6 +11,8 @@ from ultraquiet._base.errors import InputError, RateError
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Shape = float | tuple[tuple[float, ...], tuple[float, ...]]  # a number, or (frequencies in Hz, values)
+OfFrequency = Callable[[FloatArray], FloatArray]
 
 
 def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
@@ -182,3 +184,41 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """Return the array, made read-only in place: values are immutable."""
     array.setflags(write=False)
     return array
+
+
+def over_frequency(who: str, name: str, shape: Any, logarithmic: bool) -> OfFrequency:
+    """Return a shape as a function of frequency in Hz, linear over its logarithm, constant beyond its ends.
+
+    Args:
+        who: asks, for the sentence of a refusal.
+        name: of the setting.
+        shape: a number, or two sequences of frequencies in Hz, rising, and values.
+        logarithmic: whether values are gains, returned in dB, and not dB already.
+
+    Raises:
+        InputError: neither, or gains that are not above zero.
+
+    >>> at = over_frequency("me", "roof", ([10.0, 1000.0], [1.0, 100.0]), logarithmic=True)
+    >>> at(np.array([0.0, 100.0, 5000.0])).round(9).tolist()
+    [0.0, 20.0, 40.0]
+    """
+    if isinstance(shape, Sequence | np.ndarray) and not isinstance(shape, str):
+        pair: Sequence[Any] = list(cast(Any, shape))
+        if len(pair) != 2:
+            raise InputError(f"{who}: '{name}' must be a number or (frequencies in Hz, values), got {shape!r}.")
+        f, values = (real_array(who, name, np.atleast_1d(np.asarray(part)), 1) for part in pair)
+        rising = f.size == values.size > 0 and f[0] > 0 and bool(np.all(np.diff(f) > 0))
+        if not rising or (logarithmic and values.min() <= 0):
+            what = "values above zero" if logarithmic else "values"
+            raise InputError(f"{who}: '{name}' must be rising frequencies in Hz and as many {what}, got {shape!r}.")
+    else:
+        level = float(real_array(who, name, np.asarray(shape), 0))
+        f, values = np.ones(1), np.array([positive(who, name, level) if logarithmic else level])
+    values = 20 * np.log10(values) if logarithmic else values
+    places = np.log(f)
+
+    def at(f_hz: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            return np.interp(np.log(np.asarray(f_hz, dtype=np.float64)), places, values)
+
+    return at

@@ -1,16 +1,15 @@
 """Limits of a plant of several channels, direction by direction."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, between, real_array, rising_band, whole
+from ultraquiet._base.constraints import FloatArray, OfFrequency, Shape, real_array, rising_band, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.limits._limit import Limit, refused
-from ultraquiet.limits.demands import Wishes, checked_uncertainty, largest_control
+from ultraquiet.limits.demands import Wishes, checked_control, checked_error, checked_peak
 from ultraquiet.limits.directions import AllActuators, along, coupling_db, driven, moved
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
@@ -43,12 +42,12 @@ class DirectionLimit:
 def by_direction(
     plant: StateSpace,
     band_hz: tuple[float, float],
-    peak_db: float = 6.0,
+    peak_db: Shape = 6.0,
     *,
-    control_gain: float | None = None,
+    control_gain: Shape | None = None,
     directions: ArrayLike | None = None,
     basis: int = 60,
-    uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | float | None" = None,
+    uncertainty: "StateSpace | Shape | None" = None,
 ) -> tuple[DirectionLimit, ...]:
     """Return the best flat attenuation in each of a few constant directions of a stable plant.
 
@@ -58,14 +57,15 @@ def by_direction(
         plant: G, stable, of any shape. With more outputs than inputs only as many directions move at once as there are
             inputs; the worst of all stays at 0 dB or above, whatever the controller.
         band_hz: the band to be quiet, Hz.
-        peak_db: largest amplification allowed at any frequency in any direction, dB.
-        control_gain: largest singular value of K S.
+        peak_db: largest amplification allowed at any frequency in any direction, dB; or a shape `(f_hz, dB)`.
+        control_gain: largest singular value of K S; or a shape `(f_hz, gains)`.
         directions: `(ny, k)` orthonormal columns v; when absent, the eigenvectors of the mean of G G* over the band,
             from the one that the plant moves least, as many as it has inputs at most.
         basis: states of Q besides those of the plant's function along v.
-        uncertainty: W of a relative error of the plant, G_true = (I + E) G with ||E|| <= |W|, which every loop is to
-            stand: a number for all frequencies, a scalar system, or a table `(f_hz, size)`. |W v' T v| <= 1 is asked,
-            which ||W T|| <= 1 implies, so that the bound holds in every direction.
+        uncertainty: W of a relative error of the plant, G_true = (I + E) G with ||E|| <= |W|: a number for all
+            frequencies, a shape `(f_hz, size)`, or a scalar system. The attenuation and the peak are then those of
+            every such plant, in every direction. Among them is E = e v v' with |e| = |W|, whose v' S v is
+            s / (1 + e (1 - s)), s that of the plant itself: so the bound holds for any controller of all channels.
 
     Returns:
         One `DirectionLimit` a column. The least `limit.bound_db` of them bounds the worst direction of every
@@ -84,38 +84,31 @@ def by_direction(
     takes seconds and is tight where a constant transform nearly decouples the plant, as it does a hexapod.
     """
     band = rising_band(WHO, band_hz, plant.rate_hz)
-    between(WHO, "peak_db", peak_db, 0.0, 300.0, "dB")
+    peak = checked_peak(WHO, peak_db, 0.0)
     whole(WHO, "basis", basis, 7)
     if not plant.is_stable():
         raise InputError(f"{WHO}: the plant must be stable; limits of several channels are not known for another.")
     V = moved(plant, band) if directions is None else _unit(directions, plant.D.shape[0])
-    weight = checked_uncertainty(plant, _over_all(uncertainty))
-    return tuple(one_direction(plant, v, band, peak_db, control_gain, basis, weight) for v in V.T)
-
-
-def _over_all(uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | float | None") -> Any:
-    """Return a number as a table of one line, which holds at all frequencies."""
-    if isinstance(uncertainty, int | float):
-        return [1.0], [between(WHO, "uncertainty", uncertainty, 1e-6, 10.0)]
-    return uncertainty
+    error = checked_error(WHO, plant, uncertainty)
+    return tuple(one_direction(plant, v, band, peak, control_gain, basis, error) for v in V.T)
 
 
 def one_direction(
     plant: StateSpace,
     v: FloatArray,
     band: tuple[float, float],
-    peak_db: float,
-    control_gain: float | None,
+    peak: float | OfFrequency,
+    control_gain: Shape | None,
     basis: int,
-    uncertainty: "StateSpace | tuple[FloatArray, FloatArray] | None" = None,
+    error: OfFrequency | None = None,
 ) -> DirectionLimit:
-    """Return the limit along one unit vector."""
+    """Return the limit along one unit vector; `peak` is a factor."""
     w = driven(plant, v, band)
     search = LimitSearch(stabilised(along(plant, v, w)), band, basis)
     if not np.any(search.lines.b[search.inside]):
         return DirectionLimit(v, refused(f"{WHO}: the plant does not answer along this direction in the band."), 0.0)
-    gain = largest_control(control_gain, search.lines, search.inside)
-    wishes = Wishes(band, 10 ** (peak_db / 20), gain, uncertainty)
+    gain, share = checked_control(WHO, control_gain, search.lines, search.inside)
+    wishes = Wishes(band, peak, gain, error, share)
     all_actuators = None if plant.D.shape[1] == 1 else AllActuators(plant, v, search.circle)
     return DirectionLimit(v, search.limit(wishes, bounded_by=all_actuators), coupling_db(plant, v, w, band))
 

@@ -54,12 +54,37 @@ def weights_at(
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """One demand on equal angles from 0 to pi: |a + b Q| <= limit * level^share."""
+    """One demand on equal angles from 0 to pi: |a + b Q| <= limit * level^share, of all plants off by `error`."""
 
     a: ComplexArray
     b: ComplexArray
     limit: FloatArray
     share: FloatArray | float = 0.0
+    error: FloatArray | None = None
+
+    def disc(self, level: float) -> tuple[ComplexArray, FloatArray]:
+        """Return a - centre and the radius of the disc that a + b Q lies in at this level."""
+        radius = self.limit * level**self.share
+        if self.error is None:
+            return self.a, radius
+        centre, radius = disc_of_every_plant(radius, self.error)
+        return self.a - centre, radius
+
+
+def disc_of_every_plant(peak: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return centre and radius of the least disc, its centre real, that holds every S with |S| + e p |1 - S| <= p.
+
+    That oval is widest where it is real: |S - c|^2 = (1 - c) |S|^2 + c |1 - S|^2 - c (1 - c) (Stewart's theorem) is
+    convex in (|S|, |1 - S|) for c from 0 to 1, hence largest at a corner of what the triangle S, 0, 1 and the demand
+    leave of them, and at its corners the triangle is flat. The disc on the real stretch as its diameter has such a
+    centre. The radius is below zero where there is no such S: no plant off by all of itself is surely quiet.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above = np.where(peak >= 1, peak * (1 + error) / (1 + peak * error), peak * (1 - error) / (1 - peak * error))
+        tight = np.divide(peak * (error - 1), peak * error - 1, where=error > 1, out=np.zeros(np.shape(peak)))
+        below = np.where(error > 1, tight, -peak * (1 - error) / (1 + peak * error))
+    empty = (peak < 1) & (error >= 1)
+    return np.where(empty, 0.0, (above + below) / 2), np.where(empty, -1.0, (above - below) / 2)
 
 
 def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float) -> float:
@@ -112,11 +137,13 @@ def hankel_measure(demands: Sequence[Merged], weights: FloatArray, level: float)
         NumericalError: the norm was not found.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        shares = [w / (d.limit * level**d.share) ** 2 for d, w in zip(demands, weights, strict=True)]
-        pairs = list(zip(shares, demands, strict=True))
-        P = np.maximum(sum(s * np.abs(d.b) ** 2 for s, d in pairs), np.finfo(float).tiny)
-        R = sum(s * d.b.conj() * d.a for s, d in pairs) / P
-        radius2 = (1 - sum(s * np.abs(d.a) ** 2 for s, d in pairs)) / P + np.abs(R) ** 2
+        discs = [(*d.disc(level), d.b, w) for d, w in zip(demands, weights, strict=True)]
+        if any(radius.min() < 0 for _, radius, _, _ in discs):
+            return np.inf, 0.0
+        lines = [(w / radius**2, a, b) for a, radius, b, w in discs]
+        P = np.maximum(sum(s * np.abs(b) ** 2 for s, _, b in lines), np.finfo(float).tiny)
+        R = sum(s * b.conj() * a for s, a, b in lines) / P
+        radius2 = (1 - sum(s * np.abs(a) ** 2 for s, a, _ in lines)) / P + np.abs(R) ** 2
         if np.isfinite(radius2).all() and radius2.min() <= 0:
             return np.inf, 0.0
         F = _around(-R) / outer(np.sqrt(radius2))

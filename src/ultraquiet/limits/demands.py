@@ -1,83 +1,130 @@
 """The demands of a limit, checked, and as limits over frequency."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, positive, real_array, same_rate
+from ultraquiet._base.constraints import FloatArray, OfFrequency, between, over_frequency, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.limits.loops import AffineLoops
-from ultraquiet.limits.programme import TIGHTENED, Demand
+from ultraquiet.limits.programme import TIGHTENED, Demand, largest_sensitivity
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "best_flat_attenuation"
-IN_BAND, PEAK, CONTROL, ROBUST = "attenuation", "peak of S", "control gain", "uncertainty"
+IN_BAND, PEAK, CONTROL, ERROR = "attenuation", "peak of S", "control gain", "uncertainty"
 # Without a limit on the control, |K S| may still not exceed this many times what cancelling in the band takes.
 FREE_CONTROL = 1e4
+LEAST_ERROR = 1e-9  # a weight of zero asks nothing
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Wishes:
-    """Band, peak of |S| and the bounds that hold at all frequencies."""
+    """Band, peak of |S| and the bounds that hold at all frequencies.
+
+    `control_gain` is the largest |K S| anywhere; where it is less, `control_share` says over frequency by how much.
+    `error` is the size of the plant's relative error: the band and the peak are those of every such plant.
+    """
 
     band_hz: tuple[float, float]
-    peak: float
+    peak: float | OfFrequency
     control_gain: float
-    uncertainty: "StateSpace | tuple[FloatArray, FloatArray] | None" = None
+    error: OfFrequency | None = None
+    control_share: OfFrequency | None = None
+
+    def inside(self, f_hz: FloatArray) -> np.ndarray:
+        """Return which frequencies lie in the band."""
+        return (f_hz >= self.band_hz[0]) & (f_hz <= self.band_hz[1])
 
     def demands(self, f_hz: FloatArray, lines: AffineLoops) -> list[Demand]:
-        """Return the demands on a grid, that on the band first."""
-        low, high = self.band_hz
-        inside = (f_hz >= low) & (f_hz <= high)
-        never = np.full(f_hz.size, np.inf)
-        # S = 1 is what no control gives: a peak little above it is tightened by a share of what it allows beyond
-        tight = 1 - (1 - TIGHTENED) * min(1.0, max(self.peak - 1, 0.0) if self.peak >= 1 else 1.0)
-        demands = [
-            Demand(IN_BAND, lines.a, lines.b, np.where(inside, 1.0, never), sought=True),
-            Demand(PEAK, lines.a, lines.b, np.full(f_hz.size, self.peak), tight=tight),
-            Demand(CONTROL, lines.c, lines.d, np.full(f_hz.size, self.control_gain)),
+        """Return the demands on a grid, that on the band first.
+
+        There T is nearly one in size, and a plant's error e makes S larger by 1 / (1 - e): the level sought is that of
+        S itself over 1 - e.
+        """
+        inside = self.inside(f_hz)
+        error = self.errors(f_hz)
+        sure = 1.0 if error is None else 1 - error
+        gains = np.full(f_hz.size, self.control_gain)
+        if self.control_share is not None:
+            gains = gains * self.control_share(f_hz)
+        return [
+            Demand(IN_BAND, lines.a, lines.b, np.where(inside, sure, np.inf), sought=True),
+            Demand(PEAK, lines.a, lines.b, self.peaks(f_hz), tight=self._tight(f_hz), error=error),
+            Demand(CONTROL, lines.c, lines.d, gains),
         ]
-        if self.uncertainty is not None:
-            demands.append(Demand(ROBUST, lines.a - 1, lines.b, 1 / self.weight(f_hz)))
-        return demands
 
-    def weight(self, f_hz: FloatArray) -> FloatArray:
-        """Return |W| of the uncertainty on a grid; outside a table's frequencies, its ends."""
-        W = self.uncertainty
-        if isinstance(W, StateSpace):
-            size = np.abs(W.frequency_response(f_hz)[0, 0])
-        else:
-            assert W is not None
-            size = np.exp(np.interp(np.log(np.maximum(f_hz, 1e-12)), np.log(W[0]), np.log(W[1])))
-        return np.maximum(size, 1e-9)  # a weight of zero asks nothing
+    def peaks(self, f_hz: FloatArray) -> FloatArray:
+        """Return the largest |S| allowed."""
+        return self.peak(f_hz) if callable(self.peak) else np.full(f_hz.size, self.peak)
+
+    def errors(self, f_hz: FloatArray) -> FloatArray | None:
+        """Return the size of the plant's relative error, where it has one."""
+        return None if self.error is None else np.maximum(self.error(f_hz), LEAST_ERROR)
+
+    def largest(self, f_hz: FloatArray, S: np.ndarray) -> FloatArray:
+        """Return |S| of the worst plant within the error, from S of the plant itself."""
+        return largest_sensitivity(S, self.errors(f_hz))
+
+    def _tight(self, f_hz: FloatArray) -> float | FloatArray:
+        """S = 1 is what no control gives: a peak little above it is tightened by a share of what it allows beyond."""
+        if callable(self.peak):
+            peak = self.peak(f_hz)
+            return 1 - (1 - TIGHTENED) * np.where(peak >= 1, np.minimum(1.0, peak - 1), 1.0)
+        return 1 - (1 - TIGHTENED) * min(1.0, max(self.peak - 1, 0.0) if self.peak >= 1 else 1.0)
 
 
-def checked_uncertainty(
-    plant: StateSpace, uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | None"
-) -> "StateSpace | tuple[FloatArray, FloatArray] | None":
-    """Return the uncertainty as a stable scalar weight or as a table of frequencies and sizes."""
+def checked_peak(who: str, peak_db: Any, least_db: float) -> float | OfFrequency:
+    """Return the largest |S| allowed, as a factor: a number, or what it is over frequency.
+
+    Raises:
+        InputError: it is neither a number nor a shape (frequencies in Hz, dB), or below `least_db`.
+    """
+    if not isinstance(peak_db, Sequence | np.ndarray):
+        return 10 ** (between(who, "peak_db", peak_db, least_db, 300.0, "dB") / 20)
+    shape_db = over_frequency(who, "peak_db", peak_db, logarithmic=False)
+    for value in peak_db[1]:
+        between(who, "peak_db", value, least_db, 300.0, "dB")
+    return lambda f_hz: 10 ** (shape_db(f_hz) / 20)
+
+
+def checked_error(who: str, plant: StateSpace, uncertainty: Any) -> OfFrequency | None:
+    """Return the size of a relative error over frequency: a number's, a table's (Hz, size), a scalar system's.
+
+    Raises:
+        InputError: it is none of these, not above zero, or a system of another rate.
+    """
     if uncertainty is None:
         return None
-    if isinstance(uncertainty, StateSpace):
-        same_rate(WHO, "the plant", plant.rate_hz, "the uncertainty", uncertainty.rate_hz)
-        if uncertainty.D.shape != (1, 1):
-            raise InputError(f"{WHO}: the uncertainty must be scalar, got {uncertainty.D.shape}.")
-        return uncertainty
-    if not isinstance(uncertainty, tuple | list) or len(uncertainty) != 2:
-        raise InputError(f"{WHO}: the uncertainty must be a StateSpace or a table (f_hz, size), got {uncertainty!r}.")
-    f, size = (real_array(WHO, f"uncertainty[{k}]", part, 1) for k, part in enumerate(uncertainty))
-    if f.size != size.size or f.size == 0 or f.min() <= 0 or size.min() <= 0 or np.any(np.diff(f) <= 0):
-        raise InputError(
-            f"{WHO}: a table of uncertainty is (f_hz, size): as many of both, all above zero, f_hz rising."
-        )
-    return f, size
+    if not isinstance(uncertainty, StateSpace):
+        size_db = over_frequency(who, "uncertainty", uncertainty, logarithmic=True)
+        return lambda f_hz: 10 ** (size_db(f_hz) / 20)
+    same_rate(who, "the plant", plant.rate_hz, "the uncertainty", uncertainty.rate_hz)
+    if uncertainty.D.shape != (1, 1):
+        raise InputError(f"{who}: the uncertainty must be scalar, got {uncertainty.D.shape}.")
+    return lambda f_hz: np.abs(uncertainty.frequency_response(f_hz)[0, 0])
+
+
+def checked_control(
+    who: str, control_gain: Any, lines: AffineLoops, inside: np.ndarray
+) -> tuple[float, OfFrequency | None]:
+    """Return the largest |K S| allowed and the share of it allowed over frequency; very much where none is given.
+
+    Raises:
+        InputError: it is neither a number above zero nor a shape (frequencies in Hz, gains above zero).
+    """
+    if control_gain is None:
+        return _free_control(lines, inside), None
+    shape_db = over_frequency(who, "control_gain", control_gain, logarithmic=True)
+    if not isinstance(control_gain, Sequence | np.ndarray):
+        return float(control_gain), None
+    most = float(np.max(control_gain[1]))
+    return most, lambda f_hz: 10 ** (shape_db(f_hz) / 20) / most
 
 
 @np.errstate(over="ignore")  # over nothing at all
-def largest_control(control_gain: float | None, lines: AffineLoops, inside: np.ndarray) -> float:
-    """Return the limit on |K S|, a very high one where none is given."""
-    if control_gain is not None:
-        return positive(WHO, "control_gain", control_gain)
+def _free_control(lines: AffineLoops, inside: np.ndarray) -> float:
+    """Return a limit on |K S| that is none."""
     needed = np.abs(lines.a[inside] / np.maximum(np.abs(lines.b[inside]), np.finfo(float).tiny))
     return FREE_CONTROL * float(needed.max())

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, rising_band, same_rate
+from ultraquiet._base.constraints import FloatArray, Shape, rising_band, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet._base.threads import single_threaded
@@ -13,6 +13,7 @@ from ultraquiet.analyse.margins import even_inputs, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import one_direction
+from ultraquiet.limits.demands import checked_error
 from ultraquiet.limits.directions import moved
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import sensitivity
@@ -36,6 +37,8 @@ class Distance:
         limit: the best flat attenuation at this peak and gain along `direction`, the one that the plant moves least.
         left_db: what another controller could add at most at the same price: `limit.bound_db - attenuation_db`.
         direction: unit vector over the outputs.
+        robust: the limit where every plant within the uncertainty is to keep that peak and be that quiet; None where
+            none was stated. A design that goes beyond its bound is that quiet on the plant alone.
     """
 
     status: Status
@@ -45,11 +48,19 @@ class Distance:
     limit: Limit | None = None
     left_db: float = float("nan")
     direction: FloatArray | None = None
+    robust: Limit | None = None
 
 
 @takes_systems
 @single_threaded
-def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float], basis: int = 60) -> Distance:
+def distance(
+    plant: StateSpace,
+    controller: StateSpace,
+    band_hz: tuple[float, float],
+    basis: int = 60,
+    *,
+    uncertainty: "StateSpace | Shape | None" = None,
+) -> Distance:
     """Return how much more a band could be attenuated at the design's own peak of S and its own |K S|.
 
     Args:
@@ -57,6 +68,8 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
         controller: K, u = K y.
         band_hz: the quiet band, Hz.
         basis: states of the search, see `best_flat_attenuation`.
+        uncertainty: relative error of the plant, as of `by_direction`: beside the limit on the plant itself, that of
+            every such plant.
 
     Returns:
         `Distance`. A negative `left_db` would be a contradiction: the bound holds for every linear controller.
@@ -80,6 +93,7 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
             f"{WHO}: the plant is {ny} x {nu} (outputs x inputs), so the controller must be {nu} x {ny}; got "
             f"{controller.D.shape[0]} x {controller.D.shape[1]}."
         )
+    error = checked_error(WHO, plant, uncertainty)
     control = _control(plant, controller)
     if not control.is_stable():
         return Distance(Status(StatusWord.UNSTABLE, "The loop is unstable; it has no distance to a limit."))
@@ -94,9 +108,13 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
     if peak_db < NOTHING_DB and abs(own) < NOTHING_DB:
         said = "The controller does nothing, and nothing is what it costs."
         return Distance(Status(StatusWord.OK, said), own, peak_db, gain, left_db=0.0)
-    v = V[:, 0]
-    limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, basis).limit
-    return Distance(_verdict(own, peak_db, gain, limit, ny > nu), own, peak_db, gain, limit, limit.bound_db - own, v)
+    price = V[:, 0], band, 10 ** (max(peak_db, 0.0) / 20), gain, basis
+    limit = one_direction(plant, *price).limit
+    robust = None if error is None else one_direction(plant, *price, error).limit
+    status = _verdict(own, peak_db, gain, limit, ny > nu)
+    if robust is not None and status.ok:
+        status = Status(status.word, f"{status.sentence} {_of_every_plant(robust)}")
+    return Distance(status, own, peak_db, gain, limit, limit.bound_db - own, V[:, 0], robust)
 
 
 def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) -> Status:
@@ -112,6 +130,13 @@ def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) 
         f"The worst direction{' that the plant moves' * tall} gets {loudness(own)}; at the same peak of "
         f"{peak_db:.1f} dB and |K S| of {gain:.3g} {quietest}, a distance of {rounded(limit.bound_db - own)} dB.",
     )
+
+
+def _of_every_plant(robust: Limit) -> str:
+    """Say what none exceeds that is to be that quiet, at that peak, on every plant within the uncertainty."""
+    if np.isfinite(robust.bound_db):
+        return f"On every plant within the uncertainty none exceeds {rounded(robust.bound_db)} dB at that price."
+    return f"On every plant within the uncertainty no bound was found: {robust.status.sentence}"
 
 
 def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ class Demand:
     """|a + b Q| <= limit at some frequencies; a limit of infinity asks nothing there.
 
     It is put `tight` times tighter than meant, so that it holds between the points of a grid too. `sought` marks the
-    demand whose limit is the unknown level t: there `limit` is a factor of t.
+    demand whose limit is the unknown level t: there `limit` is a factor of t. With an `error` e the line is S, and the
+    limit that of every plant off by e at most: |S| + e limit |1 - S| <= limit, see `largest_sensitivity`.
     """
 
     name: str
@@ -39,11 +41,35 @@ class Demand:
     b: ComplexArray
     limit: FloatArray
     sought: bool = False
-    tight: float = TIGHTENED
+    tight: float | FloatArray = TIGHTENED
+    error: FloatArray | None = None
+
+    @property
+    def cones(self) -> int:
+        """How many cones a point takes."""
+        return 1 if self.error is None else 2
 
     def reached(self, q: ComplexArray, level: float) -> FloatArray:
-        """Return |a + b q| over its limit."""
-        return np.abs(self.a + self.b * q) / (self.limit * (level if self.sought else 1.0))
+        """Return |a + b q|, of the worst plant, over its limit."""
+        size = largest_sensitivity(self.a + self.b * q, self.error)
+        return size / (self.limit * (level if self.sought else 1.0))
+
+
+def largest_sensitivity(S: ComplexArray, error: FloatArray | None) -> FloatArray:
+    """Return |S| of the worst of all plants (1 + E) G with |E| <= error; infinite where one of them may be unstable.
+
+    S of such a plant is S / (1 + E T) with T = 1 - S (up to the sign of K), so that the largest is
+    |S| / (1 - error |1 - S|): robust performance of a scalar loop (Doyle, Francis and Tannenbaum 1992, "Feedback
+    Control Theory", section 4.3).
+
+    >>> largest_sensitivity(np.array([0.1, 1.0, -1.0]), np.array([0.1, 0.1, 0.5])).round(4).tolist()
+    [0.1099, 1.0, inf]
+    """
+    if error is None:
+        return np.abs(S)
+    left = 1 - error * np.abs(1 - S)
+    with np.errstate(divide="ignore"):
+        return np.where(left > 0, np.abs(S) / np.maximum(left, 0.0), np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,44 +161,76 @@ def solve_on(
 ) -> ConeSolution:
     """Solve with each demand put at its active points only."""
     clarabel = import_module("clarabel")  # it ships no types; as a plain module it is what it says
-    csc_matrix = import_module("scipy.sparse").csc_matrix
+    sparse = import_module("scipy.sparse")
     size = functions.shape[0]
-    blocks = [_cones(functions, d, np.flatnonzero(a)) for d, a in zip(demands, active, strict=True)]
+    put = [(d, np.flatnonzero(a)) for d, a in zip(demands, active, strict=True)]
+    blocks = [_cones(functions, d, at) for d, at in put]
     cones = [clarabel.SecondOrderConeT(3)] * sum(len(b[1]) // 3 for b in blocks)
     if noise is not None:
         rows = np.vstack([np.zeros(size + 1), np.pad(-noise[:, :-1], ((0, 0), (0, 1)))])
         blocks.append((rows, np.concatenate([[TIGHTENED], noise[:, -1]])))
         cones.append(clarabel.SecondOrderConeT(len(noise) + 1))
     A, b = (np.concatenate([block[k] for block in blocks]) for k in (0, 1))
-    cost = np.zeros(size + 1)
-    cost[-1] = 1.0
+    A = sparse.csc_matrix(sparse.hstack([A, _divided(put, len(b))]))
+    cost = np.zeros(A.shape[1])
+    cost[size] = 1.0
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
-    none = csc_matrix((size + 1, size + 1))
-    solution = clarabel.DefaultSolver(none, cost, csc_matrix(A), b, cones, settings).solve()
-    x, z, at, multipliers = np.array(solution.x), np.array(solution.z), 0, []
+    none = sparse.csc_matrix((cost.size, cost.size))
+    solution = clarabel.DefaultSolver(none, cost, A, b, cones, settings).solve()
+    x, z, at, multipliers = np.array(solution.x)[: size + 1], np.array(solution.z), 0, []
     for demand, on in zip(demands, active, strict=True):
         multiplier = np.zeros(on.size)
         count = int(on.sum())
         multiplier[on] = z[at : at + 3 * count : 3] * (x[-1] if demand.sought else 1.0)
         multipliers.append(multiplier)
-        at += 3 * count
+        at += 3 * count * demand.cones
     return ConeSolution(x[:-1], float(x[-1]), multipliers, active, str(solution.status), rounds)
 
 
 def _cones(functions: ComplexArray, demand: Demand, at: np.ndarray) -> tuple[FloatArray, FloatArray]:
-    """Return rows and right sides of (limit, Re, Im) at each point, scaled such that the limit is one (or t)."""
-    size, scale = functions.shape[0], 1 / demand.limit[at]
-    line = (functions[:, at] * (demand.b[at] * scale)).T
-    offset = demand.a[at] * scale
-    A, b = np.zeros((at.size, 3, size + 1)), np.zeros((at.size, 3))
-    if demand.sought:
+    """Return rows and right sides of (limit, Re, Im) at each point, scaled such that the limit is one (or t).
+
+    With an error two cones share the limit, |S| over it the first and e |1 - S| the second; see `_divided`.
+    """
+    scale = 1 / demand.limit[at]
+    tight = np.broadcast_to(demand.tight, demand.limit.shape)[at]
+    line, offset = (functions[:, at] * (demand.b[at] * scale)).T, demand.a[at] * scale
+    if demand.error is None:
+        return _cone(line, offset, None if demand.sought else tight)
+    by_error = (tight * demand.error[at] / scale)[:, None]
+    first = _cone(line, offset, 0 * tight)
+    second = _cone(line * by_error, (demand.a[at] - 1) * by_error[:, 0] * scale, tight)
+    return np.concatenate([first[0], second[0]]), np.concatenate([first[1], second[1]])
+
+
+def _cone(line: ComplexArray, offset: ComplexArray, limit: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return rows and right sides of |offset + line x| <= limit, or <= t, the last unknown."""
+    points, size = line.shape
+    A, b = np.zeros((points, 3, size + 1)), np.zeros((points, 3))
+    if limit is None:
         A[:, 0, size] = -1.0
     else:
-        b[:, 0] = demand.tight
+        b[:, 0] = limit
     A[:, 1, :size], A[:, 2, :size] = -line.real, -line.imag
     b[:, 1], b[:, 2] = offset.real, offset.imag
     return A.reshape(-1, size + 1), b.ravel()
+
+
+def _divided(put: Sequence[tuple[Demand, np.ndarray]], rows: int) -> Any:
+    """Return the columns `(rows, shares)` of the share of its limit that each first cone of a pair takes."""
+    sparse = import_module("scipy.sparse")
+    first, second, row = [np.zeros(0, int)], [np.zeros(0, int)], 0
+    for demand, at in put:
+        if demand.error is not None:
+            heads = row + 3 * np.arange(at.size)
+            first.append(heads)
+            second.append(heads + 3 * at.size)
+        row += 3 * at.size * demand.cones
+    heads, others = np.concatenate(first), np.concatenate(second)
+    shares, ones = np.arange(heads.size), np.ones(heads.size)
+    values = np.concatenate([-ones, ones]), (np.concatenate([heads, others]), np.concatenate([shares, shares]))
+    return sparse.csc_matrix(values, shape=(rows, heads.size))
 
 
 def _broken(r: FloatArray) -> np.ndarray:

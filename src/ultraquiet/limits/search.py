@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet._base.shown.line import counted, loudness
+from ultraquiet._base.shown.line import counted, hertz, loudness
 from ultraquiet.limits import certificate, grid, half_plane
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.basis import OrthonormalBasis, chain
 from ultraquiet.limits.circle import Circle
-from ultraquiet.limits.demands import IN_BAND, WHO, Wishes
+from ultraquiet.limits.demands import ERROR, IN_BAND, WHO, Wishes
 from ultraquiet.limits.loops import AffineLoops, Loops
 from ultraquiet.limits.programme import ConeSolution, Demand, solve, solve_on
 from ultraquiet.linalg.zeros import invariant_zeros
@@ -30,6 +30,7 @@ SHARES, ENOUGH = (0.3, 0.1, 0.03, 0.01, 0.003), 3
 GRIDS = 3  # made after the first where a law exceeds a demand between the points
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 NAMED = 3  # demands that a sentence names; the others it counts
+NONE_IS_SURE = "no controller makes every such plant quieter there"
 NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
 
 Stretches = tuple[tuple[float, float], ...]
@@ -68,6 +69,10 @@ class LimitSearch:
 
         The bound is that of the loop `bounded_by`; its own when absent, and then half of the basis is tried too.
         """
+        error = wishes.errors(self.f_hz[self.inside])
+        if error is not None and error.max() >= 1:
+            at = hertz(float(self.f_hz[self.inside][np.argmax(error)]))
+            return refused(f"{WHO}: the plant may be off by {100 * error.max():.3g} % at {at}; {NONE_IS_SURE}.")
         found, broken, solution = self._on_the_grid(wishes, noise_gain, certify, bounded_by)
         for _ in range(GRIDS):
             if found.violation < NEGLIGIBLE:
@@ -108,7 +113,7 @@ class LimitSearch:
             if noise_gain is not None:
                 others = solve_on(self._functions(self.basis, gain), demands, solution.active)
             bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
-        half_db = float("nan") if bounded_by else self._half(gain, demands, solution, noise_gain)
+        half_db = float("nan") if bounded_by else self._half(asked, demands, solution, noise_gain)
         found, broken = self._judged(wishes, solution, gain, bound, half_db)
         if certify and found.status.ok and not np.isfinite(bound):
             found = replace(found, status=Status(StatusWord.NOT_CERTIFIED, found.status.sentence))
@@ -148,12 +153,23 @@ class LimitSearch:
     def _functions(self, basis: OrthonormalBasis, gain: float) -> ComplexArray:
         return gain * basis.at(self.circle.angles(self.f_hz))
 
-    def _half(self, gain: float, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None) -> float:
+    def _half(
+        self, wishes: Wishes, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None
+    ) -> float:
         """Return the attenuation in dB that every other section of the basis reaches on the same points."""
-        half = chain(self.poles[::2])
+        half, gain = chain(self.poles[::2]), wishes.control_gain
         noise = None if noise_gain is None else self._noise(half, gain, noise_gain)
         again = solve_on(self._functions(half, gain), demands, solution.active, noise)
-        return attenuation(again.level) if again.ok else float("nan")
+        again = replace(again, weights=again.weights * gain)
+        return attenuation(self._level(wishes, again, half)) if again.ok else float("nan")
+
+    def _level(self, wishes: Wishes, solution: ConeSolution, basis: OrthonormalBasis) -> float:
+        """Return the largest |S| in the band, on the grid, of the worst plant within the error."""
+        if wishes.error is None:
+            return solution.level
+        f = self.f_hz[self.inside]
+        q = solution.weights @ basis.at(self.circle.angles(f))
+        return float(wishes.largest(f, self.lines.a[self.inside] + self.lines.b[self.inside] * q).max())
 
     def _noise(self, basis: OrthonormalBasis, scale: float, noise_gain: float) -> FloatArray:
         """Return R with |R (theta, 1)| = ||K S||_2 / noise_gain, the mean square over all frequencies."""
@@ -182,6 +198,7 @@ class LimitSearch:
         multipliers = [sum((solution.multipliers[k] for k in ks), np.zeros(grid_angles.size)) for ks in merged]
         active = [np.any([solution.active[k] for k in ks], axis=0) for ks in merged]
         edges = self.circle.angles(np.array(self.band_hz))
+        reached = self._level(wishes, solution, self.basis)
         told = float("nan")
         for count, smoothed in CIRCLES:
             angles = np.linspace(0, np.pi, count + 1)
@@ -189,9 +206,12 @@ class LimitSearch:
             f_hz = self.circle.frequencies(angles)
             wanted = wishes.demands(f_hz, lines(f_hz))[1:]
             levels = [share, *np.zeros(len(wanted) - 1)]
-            discs = [certificate.Merged(d.a, d.b, d.limit ** (1 - s), s) for d, s in zip(wanted, levels, strict=True)]
+            discs = [
+                certificate.Merged(d.a, d.b, d.limit ** (1 - s), s, d.error)
+                for d, s in zip(wanted, levels, strict=True)
+            ]
             weights = certificate.weights_at(angles, smoothed, grid_angles, multipliers, active)
-            level = certificate.lowest_level(discs, weights, solution.level)
+            level = certificate.lowest_level(discs, weights, reached)
             if level > 0:
                 return attenuation(level)
             told = np.inf if level == 0 else told
@@ -204,17 +224,19 @@ class LimitSearch:
         f = _finer(self.f_hz)
         lines = self.loops.at(f)
         q = solution.weights @ self.basis.at(self.circle.angles(f))
-        S, size = np.abs(lines.a + lines.b * q), np.abs(lines.c + lines.d * q)
-        inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
+        S, size = wishes.largest(f, lines.a + lines.b * q), np.abs(lines.c + lines.d * q)
+        inside = wishes.inside(f)
         level = float(S[inside].max())
         reached = {d.name: d.reached(q, level) for d in wishes.demands(f, lines)}
+        reached[IN_BAND] = np.where(inside, S / level, 0.0)
         over = max(float(r.max()) for r in reached.values()) - 1
         binding = {name: _stretches(f, r >= USED_UP) for name, r in reached.items()}
         law = self.loops.controller(self.circle.unwarped(self.basis.realised(solution.weights)))
         values = attenuation(level), bound_db, 20 * float(np.log10(S.max())), float(size.max())
         sought = "" if gain == wishes.control_gain else f" that keep |K S| below {gain:.3g}"
         word = StatusWord.OK if over < EXCEEDED else StatusWord.SHORT
-        status = Status(word, self._sentence(solution, *values[:2], over, half_db, binding, sought))
+        sure = " on every plant within the uncertainty" * (wishes.error is not None)
+        status = Status(word, self._sentence(solution, *values[:2], over, half_db, binding, sought, sure))
         broken = f[np.any([r > 1 + NEGLIGIBLE for r in reached.values()], axis=0)]
         return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0)), broken
 
@@ -227,6 +249,7 @@ class LimitSearch:
         half_db: float,
         binding: Mapping[str, Stretches],
         sought: str,
+        sure: str,
     ) -> str:
         low, high = self.band_hz
         bound = f"none exceeds {bound_db:.1f} dB" if np.isfinite(bound_db) else "no bound was certified"
@@ -235,7 +258,7 @@ class LimitSearch:
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
-            f"{_reached(attenuation_db, f'{low:.4g}-{high:.4g} Hz')}, {bound}; used up: "
+            f"{_reached(attenuation_db, f'{low:.4g}-{high:.4g} Hz')}{sure}, {bound}; used up: "
             f"{', '.join(used[:NAMED]) or 'nothing'}{more}; {kept} on a grid four times as fine; {solution.found} "
             f"after {solution.rounds} grids among controllers of {self.basis.size} functions{sought}{less}."
         )
@@ -254,6 +277,9 @@ class LimitSearch:
         ]
         if noise is not None and solve(functions, demands).ok:
             guilty.append("noise gain")
+        certain = replace(wishes, error=None).demands(self.f_hz, self.lines)
+        if wishes.error is not None and solve(functions, certain, noise).ok:
+            guilty.append(ERROR)
         named = (
             f"give way in: {' or '.join(guilty)}"
             if guilty

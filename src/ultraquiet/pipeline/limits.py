@@ -40,9 +40,9 @@ def bounded(
     What has no limit, an unstable plant of several channels for instance, says so in its `status`.
     """
     bands = settings.bands_hz or [band_hz]
-    price = settings.peak_db, settings.control_gain or _inverting(plant, band_hz)
-    jobs: dict[Hashable, Callable[[], Any]] = {band: partial(_of_band, plant, band, *price) for band in bands}
-    jobs |= {name: partial(beside_its_limit, plant, law, band_hz) for name, law in laws.items()}
+    price, off = (settings.peak_db, settings.control_gain or _inverting(plant, band_hz)), settings.uncertainty
+    jobs: dict[Hashable, Callable[[], Any]] = {band: partial(_of_band, plant, band, *price, off) for band in bands}
+    jobs |= {name: partial(beside_its_limit, plant, law, band_hz, off) for name, law in laws.items()}
     found = in_threads("limits", lambda name: jobs[name](), list(jobs))
     designs = {name: found[name] for name in laws}
     return Outcome({}, LimitFacts(bands=tuple(found[band] for band in bands), designs=designs))
@@ -55,11 +55,15 @@ def _inverting(plant: StateSpace, band_hz: Band) -> float:
     return INVERSIONS / float(np.median(heard)) if heard.size else 1.0
 
 
-def _of_band(plant: StateSpace, band_hz: Band, peak_db: float, control_gain: float) -> BandLimit | RefusedBand:
+def _of_band(
+    plant: StateSpace, band_hz: Band, peak_db: float, control_gain: float, uncertainty: float
+) -> BandLimit | RefusedBand:
     try:
         weakest = moved(plant, band_hz)[:, :1]
         price = {"control_gain": control_gain, "directions": weakest, "basis": BASIS}
         limit = limits.by_direction(plant, band_hz, peak_db, **price)[0].limit
+        price["uncertainty"] = uncertainty
+        robust = limits.by_direction(plant, band_hz, peak_db, **price)[0].limit if uncertainty else None
     except UltraquietError as error:
         return RefusedBand(band_hz=band_hz, peak_db=peak_db, control_gain=control_gain, status=f"refused: {error}")
     return BandLimit(
@@ -70,6 +74,9 @@ def _of_band(plant: StateSpace, band_hz: Band, peak_db: float, control_gain: flo
         bound_db=limit.bound_db,
         binding=limit.binding,
         status=f"{limit.status}{_out_of_reach(plant)}",
+        uncertainty=uncertainty,
+        robust_attenuation_db=robust.attenuation_db if robust else None,
+        robust_bound_db=robust.bound_db if robust else None,
     )
 
 
@@ -80,12 +87,17 @@ def _out_of_reach(plant: StateSpace) -> str:
     return f" {moved_by} {nu} of {ny} directions at a time; in the others nothing is reached." * (ny > nu)
 
 
-def beside_its_limit(plant: StateSpace, law: StateSpace, band_hz: Band) -> DesignLimit | NoDistance:
-    """Return a law beside what any could do at its peak and gain over a band (Hz); without one, why in `status`."""
+def beside_its_limit(
+    plant: StateSpace, law: StateSpace, band_hz: Band, uncertainty: float = 0.0
+) -> DesignLimit | NoDistance:
+    """Return a law beside what any could do at its peak and gain over a band (Hz); without one, why in `status`.
+
+    With a relative error of the plant, beside what any could do on every such plant too.
+    """
     try:
-        distance = limits.distance(plant, law, band_hz, basis=BASIS)
+        distance = limits.distance(plant, law, band_hz, basis=BASIS, uncertainty=uncertainty or None)
         if distance.status.word is StatusWord.NOT_CERTIFIED:
-            distance = limits.distance(plant, law, band_hz, basis=MORE)
+            distance = limits.distance(plant, law, band_hz, basis=MORE, uncertainty=uncertainty or None)
     except UltraquietError as error:
         return NoDistance(status=f"refused: {error}")
     return DesignLimit(
@@ -97,4 +109,7 @@ def beside_its_limit(plant: StateSpace, law: StateSpace, band_hz: Band) -> Desig
         left_db=distance.left_db,
         alone_db=distance.limit.attenuation_db if distance.limit else None,
         status=f"{distance.status}{_out_of_reach(plant)}",
+        uncertainty=uncertainty,
+        robust_alone_db=distance.robust.attenuation_db if distance.robust else None,
+        robust_limit_db=distance.robust.bound_db if distance.robust else None,
     )

@@ -150,11 +150,13 @@ class ValidateTable(Strict):
 class LimitsTable(Strict):
     """`[limits]`: the price at which bands are compared, and the bands; that of the loop when absent.
 
-    `peak_db` is of |S|, every direction; `control_gain` of |K S|, in units of actuators per unit of sensors.
+    `peak_db` is of |S|, every direction; `control_gain` of |K S|, in units of actuators per unit of sensors. Beside
+    each limit stands that of every plant off by `uncertainty`, a relative error; 0 leaves it out.
     """
 
     peak_db: Annotated[float, Field(gt=0, le=300, strict=True)] = 6.0
     control_gain: Positive | None = None
+    uncertainty: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
     bands_hz: list[Band] = Field(default=[])
 
 

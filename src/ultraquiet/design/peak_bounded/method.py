@@ -7,7 +7,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, positive, real_array, rising_band, same_rate, whole
+from ultraquiet._base.constraints import (
+    FloatArray,
+    between,
+    over_frequency,
+    positive,
+    real_array,
+    rising_band,
+    same_rate,
+    whole,
+)
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
@@ -18,7 +27,7 @@ from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.law_structure.controller_structure import ControllerStructure
 from ultraquiet.design.law_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.campaign import SearchFromStarts
-from ultraquiet.design.peak_bounded.demands import Demands, table
+from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db
 from ultraquiet.design.peak_bounded.roof import roof
@@ -134,7 +143,7 @@ class PeakBounded(StatedRobustness):
         whole(WHO, "draws", self.draws, 0)
         whole(WHO, "steps", self.steps, 1)
         whole(WHO, "seed", self.seed, 0)
-        table(WHO, "peak_db", self.peak_db, logarithmic=False)
+        over_frequency(WHO, "peak_db", self.peak_db, logarithmic=False)
 
     @property
     def square_plants(self) -> bool:
@@ -267,13 +276,13 @@ class PeakBounded(StatedRobustness):
         self, plants: Sequence[StateSpace], units: SearchUnits, structure: str
     ) -> tuple[Demands, tuple[float, float]]:
         """Return the demands in the units of the search, and the roof: where it begins, and its gain."""
-        peak = table(WHO, "peak_db", self.peak_db, logarithmic=False)
+        peak = over_frequency(WHO, "peak_db", self.peak_db, logarithmic=False)
         scale_db = 20 * np.log10(units.control) if units.common else 0.0
         if self.control_limit is None:
-            limit = table(WHO, "control_limit", _inverting(plants[0], units.band_hz), logarithmic=True)
+            limit = over_frequency(WHO, "control_limit", _inverting(plants[0], units.band_hz), logarithmic=True)
             scale_db = 0.0
         else:
-            limit = table(WHO, "control_limit", self.control_limit, logarithmic=True)
+            limit = over_frequency(WHO, "control_limit", self.control_limit, logarithmic=True)
         ends = np.geomspace(*units.band_hz, 9)
         room = 1 - 10 ** (-max(float(np.min(peak(ends))), 0.1) / 20)
         begins, gain = roof(plants, units.band_hz, self.mode_spread, self.gain_spread, room)
@@ -284,7 +293,7 @@ class PeakBounded(StatedRobustness):
             return np.where(f_hz >= begins, np.minimum(level, roof_db), level)
 
         T = self.complementary_db
-        shape = None if T is None else table(WHO, "complementary_db", T, logarithmic=False)
+        shape = None if T is None else over_frequency(WHO, "complementary_db", T, logarithmic=False)
         demands = Demands(
             band_hz=units.band_hz,
             sensitivity_db=peak,

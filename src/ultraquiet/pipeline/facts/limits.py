@@ -22,7 +22,10 @@ class RefusedBand:
 
 @fact
 class BandLimit:
-    """What can be reached over a band at a price, and what cannot; `binding` are Hz over which a demand is used up."""
+    """What can be reached over a band at a price, and what cannot; `binding` are Hz over which a demand is used up.
+
+    `robust_attenuation_db` and `robust_bound_db` are those of every plant off by `uncertainty`, a relative error.
+    """
 
     band_hz: Band
     peak_db: float
@@ -31,6 +34,9 @@ class BandLimit:
     bound_db: float
     binding: Mapping[str, tuple[Band, ...]]
     status: str
+    uncertainty: float = 0.0
+    robust_attenuation_db: float | None = None
+    robust_bound_db: float | None = None
 
 
 @fact
@@ -42,7 +48,11 @@ class NoDistance:
 
 @fact
 class DesignLimit:
-    """A design beside the limit at its own price; `left_db` is what another one could add at most."""
+    """A design beside the limit at its own price; `left_db` is what another one could add at most.
+
+    `robust_alone_db` and `robust_limit_db` are what can be reached, and what cannot, at that price on every plant off
+    by `uncertainty`, a relative error.
+    """
 
     band_hz: Band
     attenuation_db: float
@@ -52,6 +62,9 @@ class DesignLimit:
     left_db: float
     alone_db: float | None
     status: str
+    uncertainty: float = 0.0
+    robust_alone_db: float | None = None
+    robust_limit_db: float | None = None
 
 
 @fact

@@ -21,34 +21,41 @@ COLUMNS = (
     "none beyond, dB",
     "left, dB",
 )
+OF_EVERY = ("reached there alone, dB, {}", "none beyond, dB, {}")  # plant within the uncertainty
 
 
 def limits(result: StudyResult) -> Section:
     """What no linear controller can reach on the identified plant, and what each design leaves of it."""
     facts = result.limits.facts
-    rows = [(name, *_figures(limit)) for name, limit in facts.designs.items()]
+    off = result.study.limits.uncertainty
+    every = f"every plant off by {100 * off:.3g} %" if off else ""
+    rows = [(name, *_figures(limit, bool(off))) for name, limit in facts.designs.items()]
     of_control = unit_of_control(result)
     unit = f" {of_control}" if of_control else ""
     text = [
         "On the identified plant, along the direction that it moves least: what cannot be reached there cannot be "
         "reached in the worst direction. A bound holds for every linear controller at that peak and that gain, of any "
-        "order, without margin for errors of the model; a design that is to work in practice stays below it.",
+        "order, without margin for errors of the model; a design that is to work in practice stays below it."
+        + f" Where the peak and the attenuation are to be those of {every}, less can be had."
+        * bool(off),
         *(_of_band(limit, unit) for limit in facts.bands),
         *_lower_end(facts.bands),
     ]
     low, high = result.plan.band_hz
     heads = tuple(f"|K S|,{unit}" if unit and head == "|K S|" else head for head in COLUMNS)
+    heads += tuple(head.format(every) for head in OF_EVERY) if off else ()
     return Section(
         "Limits", text, [Table(f"Each design beside its own limit over {low:.4g}-{high:.4g} Hz", heads, rows)]
     )
 
 
-def _figures(limit: DesignLimit | NoDistance) -> list[str]:
+def _figures(limit: DesignLimit | NoDistance, of_every: bool) -> list[str]:
     if isinstance(limit, NoDistance):
-        return ["-"] * (len(COLUMNS) - 1)
+        return ["-"] * (len(COLUMNS) - 1 + of_every * len(OF_EVERY))
     reached, beyond = (limit.attenuation_db, limit.peak_db), (limit.alone_db, limit.limit_db, limit.left_db)
     gain = f"{limit.control_gain:.3g}"
-    return [*map(_number, reached), gain, *map(_number, beyond)]
+    robust = (limit.robust_alone_db, limit.robust_limit_db) if of_every else ()
+    return [*map(_number, reached), gain, *map(_number, beyond), *map(_number, robust)]
 
 
 def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
@@ -59,7 +66,17 @@ def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
     return (
         f"{low:.4g}-{high:.4g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.4g}{unit}: "
         f"{limit.attenuation_db:.1f} dB can be reached, {limit.bound_db:.1f} dB cannot be exceeded."
+        f"{_of_every_plant(limit)}"
     )
+
+
+def _of_every_plant(limit: BandLimit) -> str:
+    """Say what can be had where every plant off by the uncertainty is to keep the same."""
+    reached, bound = limit.robust_attenuation_db, limit.robust_bound_db
+    if reached is None or bound is None or not np.isfinite(reached):
+        return ""
+    none = f"{bound:.1f} dB cannot be exceeded" if np.isfinite(bound) else "no bound was certified"
+    return f" On every plant off by {100 * limit.uncertainty:.3g} %: {reached:.1f} dB and {none}."
 
 
 def _lower_end(bands: Sequence[BandLimit | RefusedBand]) -> list[str]:
