@@ -7,6 +7,7 @@ from named_plants import bench_like, sensitivity_db
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.design import BandAttenuation, Decoupled, threefold
+from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, gain, series
 
@@ -68,6 +69,18 @@ def test_a_hidden_transform_is_found(rng):
     assert result.status.ok, result.status
     assert len(result.details["blocks"]) == 3
     assert result.details["residue"] < 1e-6
+
+
+@pytest.mark.parametrize("number", [3867583413, 700242])
+def test_what_does_not_split_is_designed_as_it_is(number):
+    """Shapes that no axes part; and, second, a weak loop that coupling of 9.5 % of the strong one upsets."""
+    result = Decoupled().design(damped_plant(number))
+    margins = [f"{end.disk_all:.3f}" for end in result.margins.values()]
+    print(f"blocks {result.details['blocks']}, disk margins {margins}, {result.status}")
+    assert result.status.ok, result.status
+    assert result.details["blocks"] == [[0, 1]]
+    for T in result.details["transform"]:
+        np.testing.assert_array_equal(T, np.eye(2))
 
 
 @pytest.mark.slow

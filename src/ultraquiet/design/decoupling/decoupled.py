@@ -38,13 +38,15 @@ Split = tuple[FloatArray, FloatArray, list[list[int]]]
 class Decoupled(StatedRobustness):
     """K = Tu diag(K1, K2, ...) Ty', each Ki designed for its own block of Ty' G Tu by any registered method.
 
-    Blocks that take the plant as their measure are asked for one to six times `disk_margin`, until the whole keeps it.
+    Blocks that take the plant as their measure are asked for one to six times `disk_margin`, until the whole keeps it;
+    where it never does, a split found in the data is given up and the plant designed as one block.
 
     Args:
         transform: `threefold` (six struts in three alike pairs: heave, yaw, one 2x2 used twice), `data` (orthonormal,
             from the symmetric parts of G over the band, blocks as the data have them; where the plant's own units show
-            none, of the plant with its channels evened out), `svd` (of the real part nearest to that even plant in the
-            middle of the band, all loops single), or a square orthonormal matrix, row by row.
+            none, of the plant with its channels evened out, and none where nothing splits), `svd` (of the real part
+            nearest to that even plant in the middle of the band, all loops single), or a square orthonormal matrix, row
+            by row.
         method: registered design for the blocks.
         settings: of that method, as a table.
         band_hz: where the transform is sought and the residue read, Hz; absent, the band in `settings`, else the
@@ -95,14 +97,24 @@ class Decoupled(StatedRobustness):
                 f"Decoupled: the plant does not answer in {low:g}-{high:g} Hz; nothing can be turned there."
             )
         split = self._found(G, even)
+        best = self._firmest(plant, even.band_hz, G, split)
+        # coupling that upsets the blocks' laws is not to be neglected, however small a share it is of the plant
+        upset = best.controller is not None and not best.status.ok and self.transform == "data" and len(split[2]) > 1
+        if upset and _sought(best):
+            whole = self._firmest(plant, even.band_hz, G, _unsplit(G.shape[1]))
+            best = whole if _kept(whole) > _kept(best) else best
+        return best
+
+    def _firmest(self, plant: StateSpace, band_hz: tuple[float, float], G: ComplexArray, split: Split) -> DesignResult:
+        """Return the joined controller that is ok, else the one that keeps most, of blocks asked for ever more."""
         best: DesignResult | None = None
         for ask in self._asked():
-            result = self._joined(plant, even.band_hz, G, split, ask)
+            result = self._joined(plant, band_hz, G, split, ask)
             if result.controller is None:
                 return best or result
             best = result if best is None or _kept(result) > _kept(best) else best
             # numbers that are given ask for the same laws again, whatever margin is asked of a block
-            if result.status.ok or not all("gain" in r.details for r in result.details["loops"]):
+            if result.status.ok or not _sought(result):
                 break
         assert best is not None
         return best
@@ -186,7 +198,11 @@ class Decoupled(StatedRobustness):
             if len(blocks) > 1 and _share(outside, scaled) <= self.tolerance:
                 return T, T, blocks
             T = common_axes(scaled)
-            return even.outputs[:, None] * T, even.inputs[:, None] * T, _blocks(T.T @ scaled @ T, self.tolerance)
+            blocks = _blocks(T.T @ scaled @ T, self.tolerance)
+            # where nothing is split, turned channels gain nothing, and a margin kept in them is not one of the plant's
+            if len(blocks) == 1:
+                return _unsplit(n)
+            return even.outputs[:, None] * T, even.inputs[:, None] * T, blocks
         if isinstance(self.transform, str):
             raise InputError(
                 f"Decoupled: 'transform' must be 'threefold', 'data', 'svd' or a matrix, got {self.transform!r}."
@@ -195,6 +211,16 @@ class Decoupled(StatedRobustness):
         if T.shape != (n, n) or not np.allclose(T.T @ T, np.eye(n), atol=1e-6):
             raise InputError(f"Decoupled: the matrix must be ({n}, {n}) and orthonormal, got shape {T.shape}.")
         return T, T, _blocks(T.T @ G @ T, self.tolerance)
+
+
+def _unsplit(n: int) -> Split:
+    """Return the plant as it is, in one block."""
+    return np.eye(n), np.eye(n), [list(range(n))]
+
+
+def _sought(result: DesignResult) -> bool:
+    """Return whether the gain of every block was sought for its margin."""
+    return all("gain" in r.details for r in result.details["loops"])
 
 
 def _kept(result: DesignResult) -> float:
