@@ -31,9 +31,13 @@ def drawn(rng, discrete):
 
 
 def by_hand(P, K, ny, nu):
-    """Return poles and peak gain on a grid of the loop, closed without the package."""
+    """Return poles and peak gain on a grid of the loop, closed without the package.
+
+    Responses of plant and controller multiplied lose the condition of the loop, 2e-6 of a gain of 7e5. So states, y and
+    u are solved for together, of entries as they were given, with residuals in extended precision.
+    """
     D22 = P.D[-ny:, -nu:]
-    p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
+    p, m, n, k = P.D.shape[0] - ny, P.D.shape[1] - nu, P.states, K.states
     z = np.exp(1j * np.linspace(0, np.pi, 400)) if P.rate_hz else 1j * np.geomspace(1e-3, 1e5, 400)
     u = np.linalg.inv(np.eye(nu) - K.D @ D22)
     A = np.block(
@@ -42,13 +46,24 @@ def by_hand(P, K, ny, nu):
             [K.B @ (np.eye(ny) + D22 @ u @ K.D) @ P.C[p:], K.A + K.B @ D22 @ u @ K.C],
         ]
     )
-    peak = 0.0
-    for point in z:
-        G = P.C @ np.linalg.solve(point * np.eye(P.states) - P.A, P.B) + P.D
-        k = K.C @ np.linalg.solve(point * np.eye(K.states) - K.A, K.B) + K.D
-        F = G[:p, :m] + G[:p, m:] @ k @ np.linalg.solve(np.eye(ny) - G[p:, m:] @ k, G[p:, :m])
-        peak = max(peak, np.linalg.norm(F, 2))
-    return np.linalg.eigvals(A), peak
+    given = np.block(
+        [
+            [-P.A, np.zeros((n, k + ny)), -P.B[:, m:]],
+            [np.zeros((k, n)), -K.A, -K.B, np.zeros((k, nu))],
+            [-P.C[p:], np.zeros((ny, k)), np.eye(ny), -D22],
+            [np.zeros((nu, n)), -K.C, -K.D, np.eye(nu)],
+        ]
+    )
+    moving = np.diag(np.arange(len(given)) < n + k).astype(np.clongdouble)
+    drive = np.vstack([P.B[:, :m], np.zeros((k, m)), P.D[p:, :m], np.zeros((nu, m))])
+    told = np.hstack([P.C[:p], np.zeros((p, k + ny)), P.D[:p, m:]])
+    M = z[:, None, None] * moving + given
+    inverse = np.linalg.inv(M.astype(np.complex128))
+    x = (inverse @ drive).astype(np.clongdouble)
+    for _ in range(4):  # each takes the condition times a unit round-off
+        x += inverse @ (drive - M @ x).astype(np.complex128)
+    F = (told @ x + P.D[:p, :m]).astype(np.complex128)
+    return np.linalg.eigvals(A), np.linalg.norm(F, 2, axis=(1, 2)).max()
 
 
 @pytest.mark.parametrize("discrete", [False, True])
