@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
 
 from ultraquiet.linalg.balance import Coordinates, even_blocks, modal, stable_first
 from ultraquiet.linalg.discretize import bilinear_to_continuous
@@ -11,6 +10,7 @@ from ultraquiet.linalg.equations import lyapunov, stein
 from ultraquiet.linalg.even import even_states
 from ultraquiet.linalg.modal_response import Residues, split
 from ultraquiet.linalg.ordered import Array
+from ultraquiet.linalg.response import refined_gain
 
 ROUNDS = 30
 # An eigenvalue counts as imaginary when its real part is below this share of its modulus: generous, because each
@@ -32,8 +32,6 @@ LEVEL = DISAGREE / 10  # a peak whose neighbours are as high but for that share 
 FEW = 5  # points likewise where each is dear: a round narrows by a factor of two, for two new ones
 PARABOLAS = 6
 GAINED = 1e-10  # what a parabola that was worth its while adds to the peak
-REFINEMENTS = 4  # steps towards the exact response at a peak; each takes the condition times a unit round-off
-EXACT = 1e-15
 # Where the response itself is uncertain by more than the accuracy of a norm, as in loops whose gain is the same at all
 # frequencies and whose states are decades apart, that many of the highest places are looked at with refinement.
 HIGHEST = 40
@@ -46,21 +44,32 @@ DECADES = 12  # at most
 EARLIEST = 1e-300  # stands for a pole at z = 0, which has decayed before the first sample
 
 
-def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance: float = 1e-7) -> tuple[float, float]:
+def peak_gain(
+    A: Array,
+    B: Array,
+    C: Array,
+    D: Array,
+    discrete: bool,
+    tolerance: float = 1e-7,
+    exact: Callable[[complex], float] | None = None,
+) -> tuple[float, float]:
     """Return the largest singular value over frequency and where: rad/s, or radians per sample when discrete.
 
     Bruinsma and Steinbuch 1990 (doi:10.1016/0167-6911(90)90049-Z): imaginary eigenvalues of a Hamiltonian say whether
     and between which frequencies the gain exceeds a level; the level climbs to the peak. Discrete systems go through
     the bilinear map, which keeps every gain. An unstable system gives infinity at its fastest growing mode. Units of
-    states, powers of two at least, do not count.
+    states, powers of two at least, do not count. `exact` gives the gain at s or z better than these matrices do, which
+    are then an ill-conditioned form of it: what they tell wrong is told by it.
     """
     A, B, C, _ = even_states(A, B, C)
     poles = np.linalg.eigvals(A)
     if poles.size and (np.abs(poles).max() >= 1 if discrete else poles.real.max() >= 0):
         return np.inf, least_damped(poles, discrete)
     gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(modal(A, B, C), D, (A, B, C), tolerance)
-    gain, w = _refined(A, B, C, D, discrete, poles, gain, w, max(tolerance, DISAGREE))
-    return (refined_gain(A, B, C, D, np.exp(1j * w) if discrete else 1j * w) if np.isfinite(w) else gain), w
+    gain_at = exact or (lambda z: refined_gain(A, B, C, D, z))
+    told = _Known(lambda w: np.array([gain_at(z) for z in (np.exp(1j * w) if discrete else 1j * w)]))
+    gain, w = _refined(A, B, C, D, discrete, poles, gain, w, max(tolerance, DISAGREE), told)
+    return (told.one(w) if np.isfinite(w) else gain), w
 
 
 def least_damped(poles: Array, discrete: bool) -> float:
@@ -82,7 +91,16 @@ def largest_gains(M: Array) -> Array:
 
 
 def _refined(
-    A: Array, B: Array, C: Array, D: Array, discrete: bool, poles: Array, gain: float, w: float, accuracy: float
+    A: Array,
+    B: Array,
+    C: Array,
+    D: Array,
+    discrete: bool,
+    poles: Array,
+    gain: float,
+    w: float,
+    accuracy: float,
+    exact: "_Known",
 ) -> tuple[float, float]:
     """Return a peak found in modal coordinates as it is in the coordinates given.
 
@@ -102,7 +120,6 @@ def _refined(
             return np.concatenate([direct(w[[k]]) for k in range(w.size)]) if w.size > 1 else np.array([np.inf])
 
     at = _Known(direct)
-    exact = _Known(lambda w: np.array([refined_gain(A, B, C, D, z) for z in (np.exp(1j * w) if discrete else 1j * w)]))
 
     # as rates of decay and frequencies, in both times the same
     places = _rates(poles) if discrete else poles
@@ -130,30 +147,6 @@ def _refined(
     if off > CREDIBLE:
         return _sought(exact, looks, last)
     return _told_apart(at, exact, looks[at(looks) >= best * (1 - BELIEVED * off)], off, last)
-
-
-def refined_gain(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
-    """Return the largest singular value of C (z I - A)^-1 B + D at one point, free of the errors of the solution.
-
-    Iterative refinement with residuals in extended precision: the solution comes out to the last digit as long as
-    z I - A is regular in double precision. A loop whose states are decades apart loses what its condition costs.
-    """
-    if not (A.size and np.any(B) and np.any(C)):
-        return float(np.linalg.norm(D, 2)) if D.size else 0.0
-    wide = z * np.eye(len(A), dtype=np.clongdouble) - A
-    M = wide.astype(np.complex128)
-    factors = lu_factor(M, check_finite=False)
-    x = lu_solve(factors, B.astype(np.complex128), check_finite=False).astype(np.clongdouble)
-    size = np.inf
-    for _ in range(REFINEMENTS):
-        step = lu_solve(factors, (B - wide @ x).astype(np.complex128), check_finite=False)
-        before, size = size, float(np.linalg.norm(step))
-        if not size < before / 2:
-            break
-        x += step
-        if size <= EXACT * float(np.linalg.norm(x.astype(np.complex128))):
-            break
-    return float(np.linalg.norm((C @ x + D).astype(np.complex128), 2))
 
 
 class _Known:
