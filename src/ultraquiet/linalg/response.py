@@ -1,6 +1,6 @@
 """Frequency and time responses of state-space matrices."""
 
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve, schur
@@ -103,20 +103,24 @@ def refined_gain(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
     """
     if not (A.size and np.any(B) and np.any(C)):
         return float(np.linalg.norm(D, 2)) if D.size else 0.0
-    wide = z * np.eye(len(A), dtype=np.clongdouble) - A
-    M = wide.astype(np.complex128)
-    factors = lu_factor(M, check_finite=False)
+    x = _refined(z * np.eye(len(A), dtype=np.clongdouble) - A, B, C)
+    return float(np.linalg.norm((C @ x + D).astype(np.complex128), 2))
+
+
+def _refined(wide: Any, B: Array, C: Array) -> Any:
+    """Return wide^-1 B in extended precision, refined for as long as that moves C wide^-1 B less and less."""
+    factors = lu_factor(wide.astype(np.complex128), check_finite=False)
     x = lu_solve(factors, B.astype(np.complex128), check_finite=False).astype(np.clongdouble)
     size = np.inf
     for _ in range(REFINEMENTS):
         step = lu_solve(factors, (B - wide @ x).astype(np.complex128), check_finite=False)
-        before, size = size, float(np.linalg.norm(step))
+        before, size = size, float(np.linalg.norm(C @ step))
         if not size < before / 2:
             break
         x += step
-        if size <= EXACT * float(np.linalg.norm(x.astype(np.complex128))):
+        if size <= EXACT * float(np.linalg.norm((C @ x).astype(np.complex128))):
             break
-    return float(np.linalg.norm((C @ x + D).astype(np.complex128), 2))
+    return x
 
 
 class JoinedGain:
@@ -146,15 +150,7 @@ class JoinedGain:
         self._D = D[:p, :m]
 
     def __call__(self, z: complex) -> float:
-        """Return the gain at s or z; refined for as long as that moves it less and less."""
+        """Return the gain at s or z."""
         wide = np.diag(z * self._moving.astype(np.clongdouble)) - self._A
-        factors = lu_factor(wide.astype(np.complex128), check_finite=False)
-        x = lu_solve(factors, self._B.astype(np.complex128), check_finite=False).astype(np.clongdouble)
-        size = np.inf
-        for _ in range(REFINEMENTS):
-            step = lu_solve(factors, (self._B - wide @ x).astype(np.complex128), check_finite=False)
-            before, size = size, float(np.linalg.norm(self._C @ step))
-            if not size < before / 2:
-                break
-            x += step
+        x = _refined(wide, self._B, self._C)
         return float(np.linalg.norm((self._C @ x + self._D).astype(np.complex128), 2))
