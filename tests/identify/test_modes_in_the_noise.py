@@ -26,7 +26,7 @@ def sharp(rng, sensors, actuators, units):
     return uq.Record(u * units[0], (clean + noise) * units[1], RATE_HZ), clean * units[1]
 
 
-@pytest.mark.draws(false_alarm=0.05)
+@pytest.mark.draws(false_alarm=0.03)  # 5 of 504 are ok without: one of one output's 252, four of three outputs' 252
 @pytest.mark.parametrize(("shape", "units"), [((1, 1), (1.0, 1.0)), ((1, 1), (1e6, 1e-9)), ((3, 1), (1e-3, 1e4))])
 def test_the_plant_has_its_modes_or_the_verdict_says_so(rng, shape, units):
     record, clean = sharp(rng, *shape, units)
@@ -34,6 +34,17 @@ def test_the_plant_has_its_modes_or_the_verdict_says_so(rng, shape, units):
     shown = fit_percent(clean, result.state_space().simulate(record.inputs)).min()
     print(f"{shape}: {shown:.2f} % of what is without noise, {result.status}")
     assert shown > 97.0 or not result.status.ok
+
+
+@pytest.mark.parametrize("seed_of_both", [835627132, 1018])
+def test_two_modes_that_the_noise_took_at_once_come_back(seed_of_both):
+    """Of both the noise model held the pair that is 1 % apart, with a white residual: ok at a fit below nothing."""
+    record, clean = sharp(np.random.default_rng(seed_of_both), 3, 1, (1.0, 1.0))
+    result = uq.identify.BoxJenkins(order=6).identify(record)
+    shown = fit_percent(clean, result.state_space().simulate(record.inputs)).min()
+    print(f"{shown:.2f} % of what is without noise, {result.status}")
+    assert result.status.ok
+    assert shown > 97.0
 
 
 @pytest.mark.parametrize("damping", [0.999, 0.995])
