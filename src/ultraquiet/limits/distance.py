@@ -1,6 +1,6 @@
 """How far a design is from what any controller could do at its own price."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,6 +111,8 @@ def distance(
     price = V[:, 0], band, 10 ** (max(peak_db, 0.0) / 20), gain, basis
     limit = one_direction(plant, *price).limit
     robust = None if error is None else one_direction(plant, *price, error).limit
+    if robust is not None and limit.bound_db < robust.bound_db:  # what holds for the plant itself holds for all of them
+        robust = replace(robust, bound_db=limit.bound_db)
     status = _verdict(own, peak_db, gain, limit, ny > nu)
     if robust is not None and status.ok:
         status = Status(status.word, f"{status.sentence} {_of_every_plant(robust)}")

@@ -76,7 +76,8 @@ def _of_band(
         status=f"{limit.status}{_out_of_reach(plant)}",
         uncertainty=uncertainty,
         robust_attenuation_db=robust.attenuation_db if robust else None,
-        robust_bound_db=robust.bound_db if robust else None,
+        # what holds for the plant itself holds for all of them
+        robust_bound_db=float(np.fmin(limit.bound_db, robust.bound_db)) if robust else None,
     )
 
 
