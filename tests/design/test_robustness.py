@@ -98,11 +98,12 @@ def in_millimetres(plant):
 
 @pytest.mark.parametrize("design", [Lqg, MixedSensitivity, BandAttenuation])
 def test_a_verdict_says_what_becomes_of_the_worst_direction_and_what_is_out_of_reach(seed, design):
-    plant = in_millimetres(ordinary(np.random.default_rng(seed), (4, 3), modes=4))
-    result = design().design(plant)
-    band_hz = result.details["band_hz"]
-    louder_db, _ = largest_over(plant, result.controller, band_hz)
-    assert louder_db > 3, "a plant on which the worst direction gets quieter tests nothing"
+    rng, louder_db = np.random.default_rng(seed), 0.0
+    while louder_db < 3:  # a plant on which the worst direction gets quieter tests nothing
+        plant = in_millimetres(ordinary(rng, (4, 3), modes=4))
+        result = design().design(plant)
+        band_hz = result.details["band_hz"]
+        louder_db, _ = largest_over(plant, result.controller, band_hz)
     said = re.search(r"worst direction of S gets louder by ([\d.]+) dB, at ([\d.]+) Hz", result.status.sentence)
     assert said, result.status.sentence
     print(f"{design.__name__}: said {said[1]} dB, {louder_db:.2f} dB on a grid")

@@ -123,7 +123,8 @@ def test_killed_while_it_finalises(count, kill, tmp_path, rng):
 
     # How long it takes here and now, from birth to end: kills are to strike all through it.
     takes_s = min(fate["took"] for fate in kill([job(f"whole-{k}", 2.0) for k in range(5)], 5) if fate["took"])
-    for fate in kill([job(run, rng.uniform(0.0, 1.2 * takes_s)) for run in range(count)], 1):
+    shares = (np.arange(count) + rng.uniform(size=count)) / count
+    for fate in kill([job(run, 1.2 * takes_s * share) for run, share in enumerate(shares)], 1):
         path, made = Path(fate["path"]), Path(fate["path"]).with_suffix(".h5")
         states[(path.exists(), made.exists())] += 1
         assert path.exists() or made.exists()

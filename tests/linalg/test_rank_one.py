@@ -150,7 +150,11 @@ def test_poles_that_are_the_same_have_one_residue(rng, ny, nu):
     assert sorted(rank_elimination.faintest(many, samples)) == list(range(3 * heads.size))
 
 
-@pytest.mark.parametrize("slowest", [0.01, 0.05])
+# With a bound that far from the truth's mode 14 of 600 draws end a tenth as far off or farther, in ten rounds too.
+FAR = pytest.param(0.05, marks=pytest.mark.draws(false_alarm=0.04))
+
+
+@pytest.mark.parametrize("slowest", [0.01, FAR])
 def test_a_pole_at_its_bound_does_not_hold_the_others(slowest, seed):
     """The truth has a mode slower than lines tell of, and one stands at that bound; the others are found, from 1 % off.
 

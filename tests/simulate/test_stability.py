@@ -59,6 +59,8 @@ def test_growth_and_decay_are_measured_in_any_unit(apart, unit, rng):
     assert check.growth_hz == pytest.approx(loop.f_hz, abs=0.01)
 
 
+# Of 300 draws 5 are ok, four of them for a mode that noise of a tenth hides in so short a record, and 3 unstable.
+@pytest.mark.draws(false_alarm=0.05)
 def test_what_one_record_cannot_tell_is_not_known(rng):
     loop = drawn_loop(rng, 1 - 1e-7, noise=0.1)
     check = uq.simulate.check_stability(loop.bench, loop.law, 4.0)
