@@ -141,8 +141,8 @@ def unnoticed(folder, cc, law, planted):
     return left
 
 
-# Of 40 drawn laws 4 hold their states alone within range, no command, and no word of their self-test stands at a state's
-# very end: 6 of their 316 faults, one count there, go unnoticed, and one of the six is drawn for a third of such laws.
+# Of 40 drawn laws 4 hold their states alone within range, no command, and no word of their self-test stands at the very
+# end of a state: of their 316 faults the 6 of one count there go unnoticed, and a third of such laws has one drawn.
 @pytest.mark.draws(false_alarm=0.07)
 def test_self_test_of_whole_numbers_notices_planted_faults(rng, tmp_path, cc):
     law = law_in_words(rng, "q15", 4, 2, 2, form="modal", scaling="l2")
