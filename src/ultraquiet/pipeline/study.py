@@ -224,11 +224,11 @@ def packaged_study(name: str) -> Study:
 
 
 def quick_study(study: Study) -> Study:
-    """Return the study with two structures and two orders instead of a whole sweep, on one unit, with one limit."""
+    """Return the study with two structures and two orders instead of a whole sweep, on one unit, one limit a law."""
     sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
     paper = study.paper and study.paper.model_copy(update={"records": study.paper.records[:1]})
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
-    limits = study.limits.model_copy(update={"bands_hz": []})  # that of the loop alone
+    limits = study.limits.model_copy(update={"bands_hz": [], "uncertainty": 0.0})  # that of the loop and plant alone
     return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop, "limits": limits})
 
 
