@@ -5,10 +5,12 @@ import pytest
 from limit_plants import RATE_HZ, band, modal, responses
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.limits import best_flat_attenuation, by_direction, distance
+from ultraquiet.design import Lqg
+from ultraquiet.limits import Limit, best_flat_attenuation, by_direction, distance
+from ultraquiet.limits.by_direction import tightened
 from ultraquiet.limits.certificate import disc_of_every_plant
 from ultraquiet.limits.programme import largest_sensitivity
-from ultraquiet.values import StateSpace
+from ultraquiet.values import StateSpace, Status, StatusWord
 from ultraquiet.values.interconnect import append, feedback, series
 
 LAG = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
@@ -26,11 +28,8 @@ def test_the_disc_holds_every_sensitivity_and_no_more(rng, peak, error):
         assert not allowed.size
         return
     assert np.all(np.abs(allowed - centre) <= radius + 1e-12)
-    for end in (
-        centre - radius,
-        centre + radius,
-    ):  # at the demand: no smaller disc about a real point will do
-        assert abs(end) + error * peak * abs(1 - end) == pytest.approx(peak, rel=1e-9, abs=1e-12) or error >= 1
+    for end in (centre - radius, centre + radius):  # at the demand: no smaller disc about a real point will do
+        assert abs(end) + error * peak * abs(1 - end) == pytest.approx(peak, rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize("growth", [1.0, 1.03], ids=["stable", "unstable"])
@@ -39,7 +38,7 @@ def test_its_controller_keeps_the_demands_on_every_plant(rng, growth):
     limit = best_flat_attenuation(plant, quiet, 6.0, control_gain=50.0, uncertainty=error, basis=30)
     print(f"{quiet}: {limit.status}")
     if not limit.status.ok:
-        assert limit.status.word in ("not certified", "refused")
+        assert limit.status.word == "not certified" or growth > 1  # doing nothing keeps the demands of a stable plant
         return
     assert limit.attenuation_db <= limit.bound_db
     f = np.unique(np.concatenate([rng.uniform(0.01, RATE_HZ / 2, 2000), rng.uniform(*quiet, 500)]))
@@ -108,30 +107,65 @@ def test_an_uncertainty_that_leaves_no_controller_is_named():
     assert "uncertainty" in limit.status.sentence
 
 
+@pytest.mark.gate("shape0")
 @pytest.mark.parametrize("shape", [(4, 3), (3, 5)])
 def test_the_bound_of_a_direction_holds_for_a_law_of_all_channels(rng, shape):
-    """A plant of several channels off by e v v': what the law of all channels does along v is within the bound."""
+    """What a law of all channels does along v, to the plant off by e v v' that suits it least, is within the bound."""
     ny, nu = shape
     square = modal(rng, max(shape))
     plant = StateSpace(square.A, square.B[:, :nu], square.C[:ny], square.D[:ny, :nu], RATE_HZ)
-    law = StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), -0.2 * rng.normal(size=(nu, ny)), RATE_HZ)
-    while not feedback(plant, law).is_stable():
-        law = StateSpace(law.A, law.B, law.C, 0.7 * law.D, RATE_HZ)
+    law = Lqg().design(plant).controller
     quiet = band(rng)
-    found = distance(plant, law, quiet, basis=20, uncertainty=0.1)
+    found = distance(plant, law, quiet, basis=10, uncertainty=0.1)
     print(found.status)
     assert found.robust is not None
+    assert not found.robust.bound_db > found.limit.bound_db
     v, f = found.direction, np.geomspace(*quiet, 60)
     G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, law))
-    s = np.einsum("i,kij,j->k", v, np.linalg.inv(np.eye(ny) - G @ K), v)
-    off = 0.1 * np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
+    off = 0.1 * np.exp(1j * np.linspace(0, 2 * np.pi, 48, endpoint=False))
     true = np.array([np.linalg.inv(np.eye(ny) - (np.eye(ny) + e * np.outer(v, v)) @ G @ K) for e in off])
-    along = np.einsum("i,ekij,j->ek", v, true, v)
-    assert np.allclose(along, s / (1 + off[:, None] * (1 - s)))  # what the bound rests on
-    worst = -20 * np.log10(largest_sensitivity(s, np.full(f.size, 0.1)).max())
+    worst = -20 * np.log10(np.abs(np.einsum("i,ekij,j->ek", v, true, v)).max())
+    print(f"the worst of these plants: {worst:.2f} dB along v")
     if np.isfinite(found.robust.bound_db):
         assert worst <= found.robust.bound_db + 0.02
-        assert not found.robust.bound_db > found.limit.bound_db
+
+
+@pytest.mark.parametrize("error", [0.1, 0.3, 0.6])
+def test_where_little_can_be_had_no_control_is_never_worse(error):
+    """With next to no gain S = 1 is among what is sought: 0 dB on every plant, and what beats it is not passed by."""
+    for gain in (0.05, 0.3, 1.0):
+        limit = best_flat_attenuation(LAG, (10.0, 100.0), 6.0, control_gain=gain, uncertainty=error, basis=20)
+        print(f"gain {gain}, error {error}: {limit.attenuation_db:.3f} to {limit.bound_db:.3f} dB, {limit.status}")
+        assert limit.attenuation_db >= -0.02
+        assert np.isnan(limit.bound_db) or limit.attenuation_db <= limit.bound_db
+
+
+def test_a_weight_that_is_a_system_and_a_plant_in_continuous_time():
+    lag = StateSpace([[-100.0]], [[100.0]], [[1.0]], [[0.0]])
+    weight = StateSpace([[-600.0]], [[1.0]], [[-540.0]], [[1.0]])  # 0.1 at rest, 1 far above 600 rad/s
+    asked = {"control_gain": 20.0, "delay_s": 0.002, "basis": 40}
+    plain, robust = (best_flat_attenuation(lag, (5.0, 20.0), 6.0, uncertainty=w, **asked) for w in (None, weight))
+    print(f"{plain.status}\n{robust.status}")
+    assert robust.status.ok
+    assert robust.attenuation_db < plain.attenuation_db
+    assert robust.attenuation_db <= robust.bound_db
+
+
+def test_a_bound_of_the_plant_itself_is_one_of_every_plant():
+    plain = Limit(Status(StatusWord.OK, "Plain."), 20.0, 25.0)
+    for bound_db, word in (
+        (40.0, StatusWord.OK),
+        (np.nan, StatusWord.NOT_CERTIFIED),
+        (np.inf, StatusWord.NOT_CERTIFIED),
+    ):
+        robust = tightened(Limit(Status(word, "Robust."), 18.0, bound_db), plain)
+        assert robust.bound_db == 25.0
+        assert robust.status.ok
+        assert "25.0 dB" in robust.status.sentence
+    closer = Limit(Status(StatusWord.OK, "Robust."), 18.0, 22.0)
+    none = Limit(Status(StatusWord.REFUSED, "None."))
+    assert tightened(closer, plain) is closer
+    assert tightened(none, plain) is none
 
 
 def test_alike_channels_have_the_robust_limit_of_one():
@@ -158,7 +192,8 @@ def test_demands_are_shapes_over_frequency():
     milder = best_flat_attenuation(LAG, quiet, 8.0, control_gain=20.0, basis=60)
     assert milder.bound_db > limit.attenuation_db
     assert milder.attenuation_db > limit.attenuation_db
-    flat = best_flat_attenuation(LAG, quiet, ([1.0], [8.0]), control_gain=([1.0], [20.0]), basis=60)
+    flat = best_flat_attenuation(LAG, quiet, (1.0, 8.0), control_gain=([1.0], [20.0]), basis=60)
+    assert best_flat_attenuation(LAG, quiet, np.asarray(8.0), control_gain=20.0, basis=60).status.ok
     assert flat.attenuation_db == pytest.approx(milder.attenuation_db, abs=0.01)
 
 
@@ -173,6 +208,7 @@ def test_demands_are_shapes_over_frequency():
         {"uncertainty": 0.0},
         {"uncertainty": ([1.0], [np.nan])},
         {"uncertainty": (1.0, 2.0, 3.0)},
+        {"uncertainty": "0.1"},
     ],
     ids=str,
 )

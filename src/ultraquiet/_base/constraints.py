@@ -186,6 +186,13 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
+def is_shape(value: Any) -> bool:
+    """Return whether a setting is a shape over frequency rather than a number; an array of no dimension is a number."""
+    if isinstance(value, np.ndarray):
+        return cast(Any, value).ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
 def over_frequency(who: str, name: str, shape: Any, logarithmic: bool) -> OfFrequency:
     """Return a shape as a function of frequency in Hz, linear over its logarithm, constant beyond its ends.
 
@@ -202,8 +209,10 @@ def over_frequency(who: str, name: str, shape: Any, logarithmic: bool) -> OfFreq
     >>> at(np.array([0.0, 100.0, 5000.0])).round(9).tolist()
     [0.0, 20.0, 40.0]
     """
-    if isinstance(shape, Sequence | np.ndarray) and not isinstance(shape, str):
-        pair: Sequence[Any] = list(cast(Any, shape))
+    if isinstance(shape, str):
+        raise InputError(f"{who}: '{name}' must be a number or (frequencies in Hz, values), got the text {shape!r}.")
+    if is_shape(shape):
+        pair: Sequence[Any] = list(shape)
         if len(pair) != 2:
             raise InputError(f"{who}: '{name}' must be a number or (frequencies in Hz, values), got {shape!r}.")
         f, values = (real_array(who, name, np.atleast_1d(np.asarray(part)), 1) for part in pair)

@@ -17,7 +17,8 @@ class Limit:
     Attributes:
         status: `ok` and what was found; `short` where the controller found exceeds a demand by a hundredth or more
             between the points of every grid that was tried; `refused` and why there is none.
-        attenuation_db: -20 log10 of the largest |S| in the band with `controller`: it can be had.
+        attenuation_db: -20 log10 of the largest |S| in the band with `controller`: it can be had. With an uncertainty
+            this, `peak_db` and `sensitivity` are those of the worst plant within it, `control_gain` the plant's own.
         bound_db: no linear controller that keeps the demands attenuates more; nan where it could not be certified.
         peak_db: largest |S| anywhere, with `controller`.
         control_gain: largest |K S| anywhere, with `controller`.

@@ -1,6 +1,6 @@
 """Limits of a plant of several channels, direction by direction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,7 @@ from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 WHO = "by_direction"
 ORTHONORMAL = 1e-6
@@ -63,9 +64,10 @@ def by_direction(
             from the one that the plant moves least, as many as it has inputs at most.
         basis: states of Q besides those of the plant's function along v.
         uncertainty: W of a relative error of the plant, G_true = (I + E) G with ||E|| <= |W|: a number for all
-            frequencies, a shape `(f_hz, size)`, or a scalar system. The attenuation and the peak are then those of
-            every such plant, in every direction. Among them is E = e v v' with |e| = |W|, whose v' S v is
-            s / (1 + e (1 - s)), s that of the plant itself: so the bound holds for any controller of all channels.
+            frequencies, a shape `(f_hz, size)`, or a scalar system; a limit is refused where it is one or more in the
+            band. Among such plants is E = e v v' with |e| = |W|, whose v' S v is s / (1 + e (1 - s)), s that of the
+            plant itself: `bound_db` holds for any controller of all channels that is to keep peak and attenuation on
+            every such plant; what is reached is reached for errors along v.
 
     Returns:
         One `DirectionLimit` a column. The least `limit.bound_db` of them bounds the worst direction of every
@@ -91,6 +93,18 @@ def by_direction(
     V = moved(plant, band) if directions is None else _unit(directions, plant.D.shape[0])
     error = checked_error(WHO, plant, uncertainty)
     return tuple(one_direction(plant, v, band, peak, control_gain, basis, error) for v in V.T)
+
+
+def tightened(robust: Limit, plain: Limit) -> Limit:
+    """Return a limit of every plant within an error, its bound that of the plant itself where its own is looser.
+
+    A controller for all of them is one for the plant itself.
+    """
+    if not plain.bound_db < np.nan_to_num(robust.bound_db, nan=np.inf) or robust.status.word is StatusWord.REFUSED:
+        return robust
+    word = StatusWord.OK if robust.status.word is StatusWord.NOT_CERTIFIED else robust.status.word
+    said = f"{robust.status.sentence} The bound of the plant itself is closer: {plain.bound_db:.1f} dB."
+    return replace(robust, bound_db=plain.bound_db, status=Status(word, said))
 
 
 def one_direction(

@@ -1,12 +1,11 @@
 """The demands of a limit, checked, and as limits over frequency."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, OfFrequency, between, over_frequency, same_rate
+from ultraquiet._base.constraints import FloatArray, OfFrequency, between, is_shape, over_frequency, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.limits.loops import AffineLoops
 from ultraquiet.limits.programme import TIGHTENED, Demand, largest_sensitivity
@@ -24,7 +23,8 @@ class Wishes:
     """Band, peak of |S| and the bounds that hold at all frequencies.
 
     `control_gain` is the largest |K S| anywhere; where it is less, `control_share` says over frequency by how much.
-    `error` is the size of the plant's relative error: the band and the peak are those of every such plant.
+    `error` is the size of the plant's relative error: the band and the peak are those of every such plant. Then the
+    level sought is no convex demand; about a `guess` of it, it is.
     """
 
     band_hz: tuple[float, float]
@@ -32,6 +32,7 @@ class Wishes:
     control_gain: float
     error: OfFrequency | None = None
     control_share: OfFrequency | None = None
+    guess: float | None = None
 
     def inside(self, f_hz: FloatArray) -> np.ndarray:
         """Return which frequencies lie in the band."""
@@ -40,17 +41,21 @@ class Wishes:
     def demands(self, f_hz: FloatArray, lines: AffineLoops) -> list[Demand]:
         """Return the demands on a grid, that on the band first.
 
-        There T is nearly one in size, and a plant's error e makes S larger by 1 / (1 - e): the level sought is that of
-        S itself over 1 - e.
+        Of plants off by e that is |S| + e t |1 - S| <= t. With a guess in place of the second t it is convex, and right
+        where t comes out as guessed. Without one |1 - S| counts as one, which it nearly is where much is attenuated.
         """
         inside = self.inside(f_hz)
         error = self.errors(f_hz)
-        sure = 1.0 if error is None else 1 - error
+        guessed = error is not None and self.guess is not None
+        sure = 1.0 if error is None or guessed else 1 - error
+        band = Demand(IN_BAND, lines.a, lines.b, np.where(inside, sure, np.inf), sought=True)
+        if guessed:
+            band = replace(band, error=error, guess=self.guess)
         gains = np.full(f_hz.size, self.control_gain)
         if self.control_share is not None:
             gains = gains * self.control_share(f_hz)
         return [
-            Demand(IN_BAND, lines.a, lines.b, np.where(inside, sure, np.inf), sought=True),
+            band,
             Demand(PEAK, lines.a, lines.b, self.peaks(f_hz), tight=self._tight(f_hz), error=error),
             Demand(CONTROL, lines.c, lines.d, gains),
         ]
@@ -69,10 +74,9 @@ class Wishes:
 
     def _tight(self, f_hz: FloatArray) -> float | FloatArray:
         """S = 1 is what no control gives: a peak little above it is tightened by a share of what it allows beyond."""
-        if callable(self.peak):
-            peak = self.peak(f_hz)
-            return 1 - (1 - TIGHTENED) * np.where(peak >= 1, np.minimum(1.0, peak - 1), 1.0)
-        return 1 - (1 - TIGHTENED) * min(1.0, max(self.peak - 1, 0.0) if self.peak >= 1 else 1.0)
+        peak = self.peak(f_hz) if callable(self.peak) else self.peak
+        tight = 1 - (1 - TIGHTENED) * np.where(np.asarray(peak) >= 1, np.minimum(1.0, np.asarray(peak) - 1), 1.0)
+        return tight if callable(self.peak) else float(tight)
 
 
 def checked_peak(who: str, peak_db: Any, least_db: float) -> float | OfFrequency:
@@ -81,10 +85,10 @@ def checked_peak(who: str, peak_db: Any, least_db: float) -> float | OfFrequency
     Raises:
         InputError: it is neither a number nor a shape (frequencies in Hz, dB), or below `least_db`.
     """
-    if not isinstance(peak_db, Sequence | np.ndarray):
+    if not is_shape(peak_db):
         return 10 ** (between(who, "peak_db", peak_db, least_db, 300.0, "dB") / 20)
     shape_db = over_frequency(who, "peak_db", peak_db, logarithmic=False)
-    for value in peak_db[1]:
+    for value in np.atleast_1d(peak_db[1]):
         between(who, "peak_db", value, least_db, 300.0, "dB")
     return lambda f_hz: 10 ** (shape_db(f_hz) / 20)
 
@@ -117,7 +121,7 @@ def checked_control(
     if control_gain is None:
         return _free_control(lines, inside), None
     shape_db = over_frequency(who, "control_gain", control_gain, logarithmic=True)
-    if not isinstance(control_gain, Sequence | np.ndarray):
+    if not is_shape(control_gain):
         return float(control_gain), None
     most = float(np.max(control_gain[1]))
     return most, lambda f_hz: 10 ** (shape_db(f_hz) / 20) / most

@@ -1,6 +1,6 @@
 """How far a design is from what any controller could do at its own price."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ultraquiet.analyse.loop_response import closed_system, largest_in_band
 from ultraquiet.analyse.margins import even_inputs, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
-from ultraquiet.limits.by_direction import one_direction
+from ultraquiet.limits.by_direction import one_direction, tightened
 from ultraquiet.limits.demands import checked_error
 from ultraquiet.limits.directions import moved
 from ultraquiet.values.door import takes_systems
@@ -110,9 +110,7 @@ def distance(
         return Distance(Status(StatusWord.OK, said), own, peak_db, gain, left_db=0.0)
     price = V[:, 0], band, 10 ** (max(peak_db, 0.0) / 20), gain, basis
     limit = one_direction(plant, *price).limit
-    robust = None if error is None else one_direction(plant, *price, error).limit
-    if robust is not None and limit.bound_db < robust.bound_db:  # what holds for the plant itself holds for all of them
-        robust = replace(robust, bound_db=limit.bound_db)
+    robust = None if error is None else tightened(one_direction(plant, *price, error).limit, limit)
     status = _verdict(own, peak_db, gain, limit, ny > nu)
     if robust is not None and status.ok:
         status = Status(status.word, f"{status.sentence} {_of_every_plant(robust)}")
@@ -137,8 +135,11 @@ def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) 
 def _of_every_plant(robust: Limit) -> str:
     """Say what none exceeds that is to be that quiet, at that peak, on every plant within the uncertainty."""
     if np.isfinite(robust.bound_db):
-        return f"On every plant within the uncertainty none exceeds {rounded(robust.bound_db)} dB at that price."
-    return f"On every plant within the uncertainty no bound was found: {robust.status.sentence}"
+        none = f"none exceeds {rounded(robust.bound_db)} dB"
+        if robust.bound_db < 0 and loudness(robust.bound_db) != loudness(0.0):
+            none = f"every one leaves it {loudness(robust.bound_db)} or more"
+        return f"Of those that keep that peak on every plant within the uncertainty {none} on all of them."
+    return f"For every plant within the uncertainty no bound was found: {robust.status.sentence}"
 
 
 def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:

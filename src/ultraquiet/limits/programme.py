@@ -33,7 +33,8 @@ class Demand:
 
     It is put `tight` times tighter than meant, so that it holds between the points of a grid too. `sought` marks the
     demand whose limit is the unknown level t: there `limit` is a factor of t. With an `error` e the line is S, and the
-    limit that of every plant off by e at most: |S| + e limit |1 - S| <= limit, see `largest_sensitivity`.
+    limit that of every plant off by e at most: |S| + e limit |1 - S| <= limit, see `largest_sensitivity`; where the
+    limit is sought, the second one is a guess of it.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Demand:
     sought: bool = False
     tight: float | FloatArray = TIGHTENED
     error: FloatArray | None = None
+    guess: float | None = None
 
     @property
     def cones(self) -> int:
@@ -198,9 +200,11 @@ def _cones(functions: ComplexArray, demand: Demand, at: np.ndarray) -> tuple[Flo
     line, offset = (functions[:, at] * (demand.b[at] * scale)).T, demand.a[at] * scale
     if demand.error is None:
         return _cone(line, offset, None if demand.sought else tight)
-    by_error = (tight * demand.error[at] / scale)[:, None]
+    share = np.full(at.size, demand.guess) if demand.sought else tight
+    by_error = share * demand.error[at] / scale
     first = _cone(line, offset, 0 * tight)
-    second = _cone(line * by_error, (demand.a[at] - 1) * by_error[:, 0] * scale, tight)
+    second = (line * by_error[:, None], (demand.a[at] - 1) * by_error * scale)
+    second = _cone(*second, None if demand.sought else tight)
     return np.concatenate([first[0], second[0]]), np.concatenate([first[1], second[1]])
 
 

@@ -11,6 +11,7 @@ from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import in_threads
 from ultraquiet.analyse import singular_values
+from ultraquiet.limits.by_direction import tightened
 from ultraquiet.limits.directions import moved
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
 from ultraquiet.pipeline.stage import Cache, Outcome
@@ -62,10 +63,16 @@ def _of_band(
         weakest = moved(plant, band_hz)[:, :1]
         price = {"control_gain": control_gain, "directions": weakest, "basis": BASIS}
         limit = limits.by_direction(plant, band_hz, peak_db, **price)[0].limit
-        price["uncertainty"] = uncertainty
-        robust = limits.by_direction(plant, band_hz, peak_db, **price)[0].limit if uncertainty else None
     except UltraquietError as error:
         return RefusedBand(band_hz=band_hz, peak_db=peak_db, control_gain=control_gain, status=f"refused: {error}")
+    robust, said = None, None
+    try:
+        if uncertainty:
+            robust = limits.by_direction(plant, band_hz, peak_db, **price, uncertainty=uncertainty)[0].limit
+            robust = tightened(robust, limit)
+            said = str(robust.status)
+    except UltraquietError as error:
+        said = f"refused: {error}"
     return BandLimit(
         band_hz=band_hz,
         peak_db=peak_db,
@@ -76,8 +83,8 @@ def _of_band(
         status=f"{limit.status}{_out_of_reach(plant)}",
         uncertainty=uncertainty,
         robust_attenuation_db=robust.attenuation_db if robust else None,
-        # what holds for the plant itself holds for all of them
-        robust_bound_db=float(np.fmin(limit.bound_db, robust.bound_db)) if robust else None,
+        robust_bound_db=robust.bound_db if robust else None,
+        robust_status=said,
     )
 
 

@@ -37,6 +37,7 @@ class BandLimit:
     uncertainty: float = 0.0
     robust_attenuation_db: float | None = None
     robust_bound_db: float | None = None
+    robust_status: str | None = None
 
 
 @fact

@@ -27,17 +27,17 @@ OF_EVERY = ("reached there alone, dB, {}", "none beyond, dB, {}")  # plant withi
 def limits(result: StudyResult) -> Section:
     """What no linear controller can reach on the identified plant, and what each design leaves of it."""
     facts = result.limits.facts
-    off = result.study.limits.uncertainty
-    every = f"every plant off by {100 * off:.3g} %" if off else ""
+    told = [limit for limit in (*facts.bands, *facts.designs.values()) if isinstance(limit, BandLimit | DesignLimit)]
+    off = max((limit.uncertainty for limit in told), default=0.0)
+    every = f"every plant off by up to {100 * off:.3g} %"
+    fewer = f" Where the peak and the attenuation are to be those of {every}, less can be had." if off else ""
     rows = [(name, *_figures(limit, bool(off))) for name, limit in facts.designs.items()]
     of_control = unit_of_control(result)
     unit = f" {of_control}" if of_control else ""
     text = [
         "On the identified plant, along the direction that it moves least: what cannot be reached there cannot be "
         "reached in the worst direction. A bound holds for every linear controller at that peak and that gain, of any "
-        "order, without margin for errors of the model; a design that is to work in practice stays below it."
-        + f" Where the peak and the attenuation are to be those of {every}, less can be had."
-        * bool(off),
+        f"order, without margin for errors of the model; a design that is to work in practice stays below it.{fewer}",
         *(_of_band(limit, unit) for limit in facts.bands),
         *_lower_end(facts.bands),
     ]
@@ -73,10 +73,11 @@ def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
 def _of_every_plant(limit: BandLimit) -> str:
     """Say what can be had where every plant off by the uncertainty is to keep the same."""
     reached, bound = limit.robust_attenuation_db, limit.robust_bound_db
+    on_every = f" On every plant off by up to {100 * limit.uncertainty:.3g} %: "
     if reached is None or bound is None or not np.isfinite(reached):
-        return ""
+        return f"{on_every}{limit.robust_status}" if limit.robust_status else ""
     none = f"{bound:.1f} dB cannot be exceeded" if np.isfinite(bound) else "no bound was certified"
-    return f" On every plant off by {100 * limit.uncertainty:.3g} %: {reached:.1f} dB and {none}."
+    return f"{on_every}{reached:.1f} dB can be reached, {none}."
 
 
 def _lower_end(bands: Sequence[BandLimit | RefusedBand]) -> list[str]:
