@@ -109,7 +109,8 @@ class Verifier:
     def finely(self, found: Reached) -> Reached:
         """Return it with its norm measured ten times as well: peaks so flat that a comparison passes them by count.
 
-        And of the plant and the law as they are: the rounding of a joined loop's matrices may count for more.
+        And of the plant and the law as they are: the rounding of a joined loop's matrices may count for more. Any gain
+        bounds a norm from below, so where this search passes by the peak found before, the gain there is told.
         """
         P, K = self.P, found.controller
         loop = _evened(lft(P, K))
@@ -117,6 +118,12 @@ class Verifier:
         achieved, w = peak_gain(loop.A, loop.B, loop.C, loop.D, P.rate_hz is not None, TOLD, exact)
         if not np.isfinite(achieved):
             return found
+        # a first peak at infinity needs no second look: every search begins with the gain there
+        if np.isfinite(found.f_hz):
+            before = 2j * np.pi * found.f_hz
+            gain = exact(before if P.rate_hz is None else np.exp(before / P.rate_hz))
+            if gain > achieved:
+                return found._replace(achieved=gain)
         return found._replace(achieved=achieved, f_hz=w / (2 * np.pi) * (P.rate_hz or 1.0))
 
     def _closed(self, K: Matrices, gamma: float, level: riccati.Level | None) -> Reached | None:
