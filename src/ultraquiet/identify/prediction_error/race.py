@@ -76,7 +76,7 @@ def best_of_starts(data: ChannelData, structure: Structure, search: Search) -> t
             table[:, : smaller[0].table.shape[1]] = smaller[0].table
             minimum, tried = run_search(data, structure, search, table, search.max_iterations), tried + 1
         if structure.d and structure.f and noise_rings(minimum.table, structure):
-            minimum = _or_from_output_error(minimum, data, structure, search)
+            minimum, tried = _or_from_output_error(minimum, data, structure, search), tried + 1
             minimum = _with_noise_modes(minimum, data, structure, search)
         data.searched[key] = minimum, tried
     return data.searched[key]
