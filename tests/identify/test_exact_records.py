@@ -128,3 +128,20 @@ def test_residues_of_a_pair_that_is_nearly_one_pole(apart):
     with np.errstate(all="raise"):
         found = vector_fitting.fit(z, (1.0 / (z + 0.3) + 2.0 / (z - 0.8))[None, None], np.ones(60), start, 10)
     assert found.error < 1e-9
+
+
+@pytest.mark.parametrize("apart", [1e-20, 1e-17, 1e-15, 1e-12, 1e-9])
+@pytest.mark.parametrize("at", [0.0, 0.1, 0.6])
+def test_a_pair_that_is_nearly_one_pole_moves_to_where_two_are(at, apart):
+    """One relocation finds poles of exact samples to what rounding leaves of the pair; two equal ones miss 0.05."""
+    z = np.exp(1j * np.linspace(0.02, np.pi - 0.02, 60))
+    own = np.array([-0.3, 0.2, 0.8])
+    H = np.sum(np.array([1.0, 0.5, 2.0]) / (z[:, None] - own), axis=1)
+    start = np.array([at + 1j * apart, at - 1j * apart, 0.5])
+    with np.errstate(all="raise"):
+        once = vector_fitting.fit(z, H[None, None], np.ones(60), start, 1)
+        found = vector_fitting.fit(z, H[None, None], np.ones(60), start, 3)
+    print(f"error {once.error:.1e} after one relocation, {found.error:.1e} after three")
+    assert once.error < 1e-5
+    assert np.sort(found.poles.real) == pytest.approx(own, abs=1e-9)
+    assert found.error < 1e-12

@@ -15,8 +15,9 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 # A pole on the unit circle makes its own basis function infinite at a sample; this is as near as one may come.
 NEAREST_TO_CIRCLE = 1e-7
-# A pair that lies this share of its distance to the nearest sample apart, or less, is rounding away from a double pole.
-ONE_POLE = 4 * np.finfo(float).eps
+# A pair p + jd, p - jd with d this share of its distance to the nearest sample: (z - p)^2 + d^2 is (z - p)^2 at every
+# sample but for rounding, while 1 / (z - p - jd) - 1 / (z - p + jd) keeps half of all digits.
+DOUBLE = float(np.sqrt(np.finfo(float).eps))
 
 
 class PoleResidueFit(NamedTuple):
@@ -48,7 +49,7 @@ def fit(
         slowest: least |ln p| of a pole; slower ones are moved there. Samples say nothing of what lies below the lowest
             of them, and a pole that is free to go there cancels noise now and upsets a loop later.
     """
-    p = paired(_told_apart(z, poles))
+    p = paired(_doubles_parted(z, poles))
     best = residues(z, H, weight, p, zeros_at_one)
     for _ in range(iterations):
         p = _quickened(relocated(z, H, weight, p, zeros_at_one), slowest)
@@ -92,7 +93,7 @@ def relocated(
     size = np.linalg.norm(own, axis=0)
     common, _ = np.linalg.qr(own / size @ _vanishing(poles, size, zeros_at_one))
     rows = [_compressed(weight * h, phi, common) for h in H.reshape(-1, z.size)]
-    return paired(_told_apart(z, _inside(_zeros_of_sigma(rows, weight * H, phi, poles))))
+    return paired(_doubles_parted(z, _inside(_zeros_of_sigma(rows, weight * H, phi, poles))))
 
 
 def relocated_in_s(
@@ -113,7 +114,7 @@ def relocated_in_s(
         common, _ = np.linalg.qr(own / size)
         rows.append(_compressed(w * h, phi, common))
     zeros = _zeros_of_sigma(rows, weight * H, phi, poles)
-    return paired(_told_apart(s, np.asarray(-np.abs(zeros.real) + 1j * zeros.imag, dtype=np.complex128)))
+    return paired(_doubles_parted(s, np.asarray(-np.abs(zeros.real) + 1j * zeros.imag, dtype=np.complex128)))
 
 
 def _compressed(weighted: ComplexArray, phi: ComplexArray, common: FloatArray) -> FloatArray:
@@ -179,13 +180,15 @@ def paired(poles: ComplexArray) -> ComplexArray:
     return np.concatenate([np.sort(real.real), np.stack([upper, upper.conj()], axis=1).ravel()]).astype(np.complex128)
 
 
-def _told_apart(z: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """Return poles, the pairs that no sample tells from a double real pole made one.
+def _doubles_parted(z: ComplexArray, poles: ComplexArray) -> ComplexArray:
+    """Return poles, the pairs that no sample tells from a double real pole as far apart as none tells them from it.
 
-    Of such a pair the second function of the basis is zero, or rounding, at every sample.
+    Nearer ones have a second function of the basis that is rounding at every sample, or zero. Two equal real poles
+    would have one function between them: sigma is then zero there whatever is fitted, and rounding alone moves one. Two
+    real ones side by side have two that are nearly the same, where those of a pair, sum and difference, differ.
     """
-    distance = np.abs(z[:, None] - poles).min(axis=0)
-    return np.where(np.abs(poles.imag) <= ONE_POLE * distance, poles.real, poles)
+    apart = DOUBLE * np.abs(z[:, None] - poles).min(axis=0)
+    return poles.real + 1j * np.sign(poles.imag) * np.maximum(np.abs(poles.imag), apart)
 
 
 def _real(M: ComplexArray) -> FloatArray:
