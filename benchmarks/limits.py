@@ -13,6 +13,7 @@ PEAK_DB, CONTROL_GAIN, BASIS, LIMIT_S = 6.0, 1000.0, 80, 10.0
 # Between what a controller reaches and what none exceeds. Deep bands are known less well, and matter less.
 APART_DB = {(5, 100): 1.0, (5, 25): 1.0, (10, 100): 2.5, (20, 100): 2.5, (4.5, 5.5): 10.0}
 DIRECTIONS_S = 60.0
+OFF = 0.1  # relative error of the plants for which the band of the demo is bounded too
 
 
 def measure() -> Iterator[tuple[str, str, str, bool]]:
@@ -28,6 +29,7 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
         kept = found.attenuation_db >= before and 0 <= apart < APART_DB[band]
         yield what, figure, f"over {before:g}, {APART_DB[band]:g} dB apart", kept
         yield "the same, processor seconds", f"{seconds:.1f} s", f"under {LIMIT_S:g} s", seconds < LIMIT_S
+    yield from every_plant(heave)
     started = time.process_time()
     every = uq.limits.by_direction(plant, (10.0, 100.0), PEAK_DB, control_gain=CONTROL_GAIN, basis=40)
     seconds = time.process_time() - started
@@ -35,3 +37,19 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
     figure = f"{levels[:, 0].min():.1f} to {levels[:, 1].min():.1f} dB, {seconds:.0f} s"
     what = "six directions of the 6 x 6 bench, 10-100 Hz: the worst"
     yield what, figure, f"under {DIRECTIONS_S:g} s", seconds < DIRECTIONS_S and bool(np.all(levels[:, 1] > 0))
+
+
+def every_plant(heave: uq.StateSpace) -> Iterator[tuple[str, str, str, bool]]:
+    """Peak and attenuation of every plant off by a tenth, from both sides; and how much less that is."""
+    asked = {"control_gain": CONTROL_GAIN, "basis": BASIS}
+    plain = uq.limits.best_flat_attenuation(heave, (10, 100), PEAK_DB, **asked)
+    started = time.process_time()
+    found = uq.limits.best_flat_attenuation(heave, (10, 100), PEAK_DB, uncertainty=OFF, **asked)
+    seconds = time.process_time() - started
+    apart = found.bound_db - found.attenuation_db
+    what = f"heave, 10-100 Hz, every plant off by {100 * OFF:g} %"
+    figure = (
+        f"{found.attenuation_db:.1f} to {found.bound_db:.1f} dB, {plain.attenuation_db:.1f} without; {seconds:.1f} s"
+    )
+    kept = 0 <= apart < APART_DB[10, 100] and found.bound_db < plain.attenuation_db
+    yield what, figure, f"{APART_DB[10, 100]:g} dB apart, below the plant's own", kept and seconds < LIMIT_S

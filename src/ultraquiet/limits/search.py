@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,7 @@ SHARES, ENOUGH = (0.3, 0.1, 0.03, 0.01, 0.003), 3
 GRIDS = 3  # made after the first where a law exceeds a demand between the points
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 NAMED = 3  # demands that a sentence names; the others it counts
+ASIDE_DB = 0.1  # by which a bound may move from one circle to a finer one
 FINE_BAND = 4001  # points at which an error is looked at, besides the grid's own
 GUESSES = 3  # of the level, where what it is worth decides
 WORTH = 0.02  # error times level below which |1 - S| counts as one
@@ -217,29 +219,43 @@ class LimitSearch:
 
         Infinite where those that were told of no level out of reach.
         """
-        grid_angles = self.circle.angles(self.f_hz)
         merged = [[0, 1], *([k] for k in range(2, len(demands)))]  # the band's demand and the peak's are one, of S
-        multipliers = [sum((solution.multipliers[k] for k in ks), np.zeros(grid_angles.size)) for ks in merged]
+        multipliers = [sum((solution.multipliers[k] for k in ks), np.zeros(self.f_hz.size)) for ks in merged]
         active = [np.any([solution.active[k] for k in ks], axis=0) for ks in merged]
-        edges = self.circle.angles(np.array(self.band_hz))
         reached = self._level(wishes, solution, self.basis)
-        told = float("nan")
+        told, on_circle = float("nan"), partial(self._on_circle, wishes, lines, multipliers, active)
         for count, smoothed in CIRCLES:
-            angles = np.linspace(0, np.pi, count + 1)
-            share = certificate.ramp(angles, edges[0], edges[1], smoothed)
-            f_hz = self.circle.frequencies(angles)
-            wanted = wishes.demands(f_hz, lines(f_hz))[1:]
-            levels = [share, *np.zeros(len(wanted) - 1)]
-            discs = [
-                certificate.Merged(d.a, d.b, d.limit ** (1 - s), s, d.error)
-                for d, s in zip(wanted, levels, strict=True)
-            ]
-            weights = certificate.weights_at(angles, smoothed, grid_angles, multipliers, active)
-            level = certificate.lowest_level(discs, weights, reached)
+            level = certificate.lowest_level(*on_circle(count, smoothed), reached)
             if level > 0:
-                return attenuation(level)
+                # the same discs and weights seen twice as closely: a circle too coarse for them may tell what is not so
+                closely = on_circle(2 * count, 2 * smoothed)
+                for lower in (level, level * 10 ** (-ASIDE_DB / 20)):
+                    if certificate.hankel_measure(*closely, lower)[0] > 1:
+                        return attenuation(lower)
             told = np.inf if level == 0 else told
         return told
+
+    def _on_circle(
+        self,
+        wishes: Wishes,
+        lines: Callable[[FloatArray], AffineLoops],
+        multipliers: Sequence[FloatArray],
+        active: Sequence[np.ndarray],
+        count: int,
+        smoothed: int,
+    ) -> tuple[list[certificate.Merged], FloatArray]:
+        """Return demands and weights on so many equal angles, jumps smoothed over so many of them."""
+        angles = np.linspace(0, np.pi, count + 1)
+        edges = self.circle.angles(np.array(self.band_hz))
+        share = certificate.ramp(angles, edges[0], edges[1], smoothed)
+        f_hz = self.circle.frequencies(angles)
+        wanted = wishes.demands(f_hz, lines(f_hz))[1:]
+        levels = [share, *np.zeros(len(wanted) - 1)]
+        discs = [
+            certificate.Merged(d.a, d.b, d.limit ** (1 - s), s, d.error) for d, s in zip(wanted, levels, strict=True)
+        ]
+        grid_angles = self.circle.angles(self.f_hz)
+        return discs, certificate.weights_at(angles, smoothed, grid_angles, multipliers, active)
 
     def _judged(
         self, wishes: Wishes, solution: ConeSolution, gain: float, bound_db: float, half_db: float
