@@ -135,6 +135,26 @@ def test_the_likelihood_is_that_of_the_gaussian_it_says(kernel, rng):
     assert problem._solved(eta)[2] == pytest.approx(K @ Phi.T @ np.linalg.solve(A, v), rel=1e-7, abs=1e-10)
 
 
+@pytest.mark.parametrize("kernel", ["tc", "dc", "ss"])
+def test_what_the_prior_leaves_free_is_the_power_it_takes_of_white_noise(kernel, rng):
+    """Summed over orthonormal outputs within reach: a prior that holds on takes up to twice the trace of its fit."""
+    u, m = rng.standard_normal((1, 200)), 30
+    start = m - 1
+    eta = np.array([rng.uniform(-8.0, -2.0), rng.uniform(-6.0, -3.0), rng.uniform(-1.0, 1.0)])
+    eta = eta[: marginal_likelihood.KERNELS[kernel][1]]
+    columns = np.stack([u[0, start - k : 200 - k] for k in range(m)], axis=1)
+    columns -= columns.mean(axis=0)
+    taken, plain = 0.0, 0.0
+    for q in np.linalg.qr(columns)[0].T:
+        y = np.concatenate([np.zeros(start), q])
+        R = marginal_likelihood.compressed(u, [0], [m], y, start)
+        found = marginal_likelihood._Likelihood(R, q.size - 1, (m,), kernel).posterior(eta, True)
+        fitted = columns @ found.mean
+        taken, plain = taken + 1 - np.sum((q - fitted) ** 2), plain + q @ fitted
+    print(f"{kernel}: takes {taken:.3f}, trace {plain:.3f}, freedom {found.freedom - eta.size:.3f}")
+    assert found.freedom - eta.size == pytest.approx(taken, rel=1e-9)
+
+
 def test_several_inputs_and_outputs_and_their_state_space(rng):
     k = np.arange(60)
     g = np.array(

@@ -95,7 +95,8 @@ class Posterior:
         eta: hyper-parameters, block by block.
         converged: whether the hyper-parameters stand at a maximum.
         evaluations: of the marginal likelihood.
-        freedom: how many numbers the prior leaves free, trace(R K R' A^-1), and the hyper-parameters.
+        freedom: how many numbers the prior leaves free to explain power by, trace(I - A^-2), and the hyper-parameters.
+            White noise e becomes H e, H = I - A^-1, and e' e less what is left, |e - H e|^2, is e' (I - A^-2) e.
     """
 
     mean: FloatArray
@@ -253,7 +254,7 @@ class _Likelihood:
         A = np.eye(self.R.shape[0])
         for b, K in zip(self.blocks, kernels, strict=True):
             A += self.R[:, b] @ K @ self.R[:, b].T
-        return len(A) - float(np.trace(np.linalg.inv(A)))
+        return len(A) - float(np.sum(np.linalg.inv(A) ** 2))
 
     def _with_tail(self, kernels: list[FloatArray]) -> list[FloatArray]:
         """Return the kernels with the largest slow tail that raises the function by no more than TAIL_RISE."""
