@@ -84,15 +84,24 @@ def test_lqg_law_runs_sample_by_sample_as_designed(rng):
     plant = bench_like(rng, 3)
     result = Lqg(**PAPER).design(plant)
     law = SteppedController(result.controller)
+    closed = feedback(plant, result.controller)
     x = rng.standard_normal(plant.states)
-    sizes = []
+    states = np.concatenate([x, np.zeros(result.controller.states)])
+    run, stated = [], []
     for _ in range(20_000):
         u = law.step(plant.C @ x)
         x = plant.A @ x + plant.B @ u
-        sizes.append(np.linalg.norm(x))
+        states = closed.A @ states
+        run.append(x)
+        stated.append(states[: plant.states])
+    # the slowest pole may take longer than any run to fade: that it does as stated is asked, not how far it has got
+    sizes = np.linalg.norm(stated, axis=1)
+    off = np.linalg.norm(np.subtract(run, stated), axis=1).max() / sizes.max()
     rho = np.abs(result.closed_loop_poles).max()
-    np.testing.assert_allclose(np.sort(np.abs(feedback(plant, result.controller).poles()))[-1], rho, rtol=1e-9)
-    assert sizes[-1] < 1e-2 * sizes[0]
+    print(f"off by {off:.1e} of the largest, slowest pole {rho:.6f}, {sizes[-1] / sizes[0]:.1e} of the first left")
+    assert off < 1e-12  # 5e-16 at most in 52 draws
+    assert rho < 1
+    np.testing.assert_allclose(np.abs(closed.poles()).max(), rho, rtol=1e-9)
 
 
 def test_current_estimator_is_never_worse(rng):
