@@ -8,6 +8,7 @@ import pytest
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import output_shaping, synthesize_hinf
 from ultraquiet.design.hinf import riccati
+from ultraquiet.design.hinf.gamma_search import UNDECIDED
 from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.problem.hidden import without_hidden
 from ultraquiet.design.hinf.problem.units import even_problem
@@ -88,11 +89,33 @@ def test_a_level_too_high_is_not_agreed_with():
     assert opinion.norm < 101
 
 
+def two_by_two(rng):
+    """Return a problem of twelve states that matter; in one of twenty the controls undo all that disturbances do."""
+    A, B, C = rng.standard_normal((12, 12)) - 3 * np.eye(12), rng.standard_normal((12, 4)), rng.standard_normal((4, 12))
+    return StateSpace(A, B, C, rng.standard_normal((4, 4)))
+
+
+def counts_as_zero(result, P):
+    return result.achieved < 1e-6 * np.linalg.norm(P.D, 2)
+
+
+def test_an_optimum_of_zero_is_not_refused_for_its_round_off():
+    """1.0e-10 reported and 1.4e-10 achieved, where 4e-8 counts as zero, were called apart."""
+    P = two_by_two(np.random.default_rng(1131))
+    result = synthesize_hinf(P, 2, 2)
+    print(f"reported {result.gamma:.2e}, achieved {result.achieved:.2e}")
+    assert result.status.ok, result.status
+    assert counts_as_zero(result, P)
+
+
+# Hidden couplings are of 1e-15 and of round-off, which slow or unstable poles enlarge: in 7 of 596 draws not all twenty
+# were below 1e-13 of the largest Hankel value, at most 2.4 % of all at 97.5 %.
+@pytest.mark.draws(false_alarm=0.03)
 def test_hidden_states_are_left_out_with_a_word(rng):
     """Twelve states that matter and twenty that inputs or outputs do not reach, mixed."""
-    A, B, C = rng.standard_normal((12, 12)) - 3 * np.eye(12), rng.standard_normal((12, 4)), rng.standard_normal((4, 12))
-    D = rng.standard_normal((4, 4))
-    plain = synthesize_hinf(StateSpace(A, B, C, D), 2, 2)
+    P = two_by_two(rng)
+    A, B, C, D = P.A, P.B, P.C, P.D
+    plain = synthesize_hinf(P, 2, 2)
     unseen, idle = -np.diag(rng.uniform(0.1, 9, 10)), -np.diag(rng.uniform(0.1, 9, 10))
     link = rng.standard_normal((10, 12))
     A = np.block(
@@ -109,7 +132,16 @@ def test_hidden_states_are_left_out_with_a_word(rng):
     assert result.status.ok, result.status
     assert result.details["hidden"] == 20
     assert "20 states" in result.status.sentence
-    assert result.achieved == pytest.approx(plain.achieved, rel=1e-5)
+    if counts_as_zero(plain, P):
+        assert counts_as_zero(result, P)
+        return
+    # both searches hold the same optimum, each as closely as it closed: wider where the sign of X or Y is round-off
+    below, reached = zip(*(r.details["optimum"] for r in (plain, result)), strict=True)
+    width = max(np.divide(reached, below)) - 1
+    print(f"apart by {result.achieved / plain.achieved - 1:.1e}, brackets {width:.1e} wide")
+    assert max(below) <= min(reached)
+    assert width <= UNDECIDED
+    assert result.achieved == pytest.approx(plain.achieved, rel=width)
 
 
 def test_a_singular_problem_completed_with_small_weights():
