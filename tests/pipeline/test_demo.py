@@ -45,8 +45,9 @@ def test_no_design_is_beyond_its_limit(demo):
         assert f"{told['bound_db']:.1f} dB cannot be exceeded" in page
     assert set(limits["designs"]) == set(summary["closed_loop"])
     for name, told in limits["designs"].items():
-        print(f"{name}: {told['attenuation_db']:.2f} dB, limit {told['limit_db']:.2f} dB; {told['status']}")
-        assert told["left_db"] > -0.02, name
+        print(f"{name}: {told['attenuation_db']:.2f} dB; {told['status']}")
+        assert told["left_db"] is None or told["left_db"] > -0.02, name
+        assert (told["left_db"] is None) == told["status"].startswith("not certified"), name
 
 
 def test_every_controller_settles_on_the_bench_and_claims_what_it_achieves(demo):

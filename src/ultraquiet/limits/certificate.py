@@ -23,6 +23,8 @@ LANCZOS = 40
 DEEPEST_DB, WITHIN_DB = (20.0, 10.0, 5.0, 2.5, 1.25, 0.6, 0.3), 0.04
 FURTHEST = 100.0  # from one, beyond which it does not matter how far a norm is from it
 LEAST_DISC = 1e-12
+NOT_BINDING = 1e-7  # share of the largest multiplier up to which a point does not bind
+APART = 3  # points of the grid from which on two that bind are of two groups
 
 
 def ramp(angles: FloatArray, first: float, last: float, smoothed: int) -> FloatArray:
@@ -48,6 +50,35 @@ def weights_at(
         density = np.maximum(multiplier[on], 1e-300) / np.maximum(np.gradient(at), 1e-12)
         logs.append(gaussian_filter1d(np.interp(angles, at, np.log(density)), smoothed / 2, mode="reflect"))
     level = np.array(logs)
+    share = np.exp(np.clip(level - level.max(axis=0), -30, 0))
+    return share / share.sum(axis=0)
+
+
+def weights_between(
+    angles: FloatArray,
+    smoothed: int,
+    grid_angles: FloatArray,
+    multipliers: Sequence[FloatArray],
+    active: Sequence[np.ndarray],
+) -> FloatArray:
+    """Return the weights of `weights_at`, their logarithms straight from one group of points that bind to the next.
+
+    A solution of few functions touches its demands at single points. Between two that touch the same demand no other
+    one has a say; the points between, at which nothing binds, are not told from those of another demand.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    sizes = np.array([np.where(on, m, 0.0) for m, on in zip(multipliers, active, strict=True)])
+    total = sizes.sum(axis=0)
+    binding = np.flatnonzero(total > NOT_BINDING * total.max(initial=0.0))
+    if not binding.size:
+        return weights_at(angles, smoothed, grid_angles, multipliers, active)
+    groups = np.split(binding, np.flatnonzero(np.diff(binding) > APART) + 1)
+    places = np.array([np.average(grid_angles[g], weights=total[g]) for g in groups])
+    share = np.array([sizes[:, g].sum(axis=1) / total[g].sum() for g in groups]).T
+    logs = np.log(np.maximum(share, np.exp(-30.0)))
+    level = np.array([np.interp(angles, places, log) for log in logs])
+    level = gaussian_filter1d(level, smoothed / 2, axis=1, mode="reflect")
     share = np.exp(np.clip(level - level.max(axis=0), -30, 0))
     return share / share.sum(axis=0)
 

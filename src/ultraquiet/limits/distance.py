@@ -38,7 +38,8 @@ class Distance:
         left_db: what another controller could add at most at the same price: `limit.bound_db - attenuation_db`.
         direction: unit vector over the outputs.
         robust: the limit where every plant within the uncertainty is to keep that peak and be that quiet; None where
-            none was stated. A design that goes beyond its bound is that quiet on the plant alone.
+            none was stated, or the plant itself has no bound. A design that goes beyond its bound is that quiet on the
+            plant alone.
     """
 
     status: Status
@@ -110,7 +111,9 @@ def distance(
         return Distance(Status(StatusWord.OK, said), own, peak_db, gain, left_db=0.0)
     price = V[:, 0], band, 10 ** (max(peak_db, 0.0) / 20), gain, basis
     limit = one_direction(plant, *price).limit
-    robust = None if error is None else tightened(one_direction(plant, *price, error).limit, limit)
+    robust = None
+    if error is not None and np.isfinite(limit.bound_db):
+        robust = tightened(one_direction(plant, *price, error).limit, limit)
     status = _verdict(own, peak_db, gain, limit, ny > nu)
     if robust is not None and status.ok:
         status = Status(status.word, f"{status.sentence} {_of_every_plant(robust)}")

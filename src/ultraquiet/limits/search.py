@@ -18,9 +18,18 @@ from ultraquiet.limits.programme import ConeSolution, Demand, solve, solve_on
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.status import Status, StatusWord
 
-# Points from 0 to pi for the certificate, and over how many a jump is smoothed; the next where one is too coarse or
-# tells nothing: a demand that binds over a narrow stretch, as a control gain far below the band does, is smeared away.
-CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30), (1 << 14, 8), (1 << 16, 8), (1 << 18, 8))
+# Points from 0 to pi for the certificate, over how many a jump is smoothed, how multipliers become weights; the next
+# where one is too coarse or tells nothing: a demand that binds over a narrow stretch, as a control gain far below the
+# band does, is smeared away.
+CIRCLES = (
+    (1 << 14, 16, certificate.weights_at),
+    (1 << 14, 16, certificate.weights_between),
+    (1 << 16, 30, certificate.weights_between),
+    (1 << 15, 40, certificate.weights_at),
+    (1 << 16, 30, certificate.weights_at),
+    (1 << 14, 8, certificate.weights_at),
+    (1 << 16, 8, certificate.weights_at),
+)
 USED_UP = 0.99  # share of a demand from which on it binds
 FINER = 4
 QUADRATURE = 1 << 13
@@ -31,7 +40,7 @@ SHARES, ENOUGH = (0.3, 0.1, 0.03, 0.01, 0.003), 3
 GRIDS = 3  # made after the first where a law exceeds a demand between the points
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 NAMED = 3  # demands that a sentence names; the others it counts
-ASIDE_DB = 0.1  # by which a bound may move from one circle to a finer one
+ASIDE_DB = (0.0, 0.1, 0.3)  # by which a bound may move from one circle to a finer one
 FINE_BAND = 4001  # points at which an error is looked at, besides the grid's own
 GUESSES = 3  # of the level, where what it is worth decides
 WORTH = 0.02  # error times level below which |1 - S| counts as one
@@ -224,12 +233,13 @@ class LimitSearch:
         active = [np.any([solution.active[k] for k in ks], axis=0) for ks in merged]
         reached = self._level(wishes, solution, self.basis)
         told, on_circle = float("nan"), partial(self._on_circle, wishes, lines, multipliers, active)
-        for count, smoothed in CIRCLES:
-            level = certificate.lowest_level(*on_circle(count, smoothed), reached)
+        for count, smoothed, weigh in CIRCLES:
+            level = certificate.lowest_level(*on_circle(count, smoothed, weigh), reached)
             if level > 0:
                 # the same discs and weights seen twice as closely: a circle too coarse for them may tell what is not so
-                closely = on_circle(2 * count, 2 * smoothed)
-                for lower in (level, level * 10 ** (-ASIDE_DB / 20)):
+                closely = on_circle(2 * count, 2 * smoothed, weigh)
+                for aside_db in ASIDE_DB:
+                    lower = level * 10 ** (-aside_db / 20)
                     if certificate.hankel_measure(*closely, lower)[0] > 1:
                         return attenuation(lower)
             told = np.inf if level == 0 else told
@@ -243,6 +253,7 @@ class LimitSearch:
         active: Sequence[np.ndarray],
         count: int,
         smoothed: int,
+        weigh: Callable[..., FloatArray],
     ) -> tuple[list[certificate.Merged], FloatArray]:
         """Return demands and weights on so many equal angles, jumps smoothed over so many of them."""
         angles = np.linspace(0, np.pi, count + 1)
@@ -255,7 +266,7 @@ class LimitSearch:
             certificate.Merged(d.a, d.b, d.limit ** (1 - s), s, d.error) for d, s in zip(wanted, levels, strict=True)
         ]
         grid_angles = self.circle.angles(self.f_hz)
-        return discs, certificate.weights_at(angles, smoothed, grid_angles, multipliers, active)
+        return discs, weigh(angles, smoothed, grid_angles, multipliers, active)
 
     def _judged(
         self, wishes: Wishes, solution: ConeSolution, gain: float, bound_db: float, half_db: float
