@@ -22,6 +22,13 @@ def modal(rng, channels=1, growth=1.0):
     return StateSpace(A * growth, B, C, D, rate_hz=RATE_HZ)
 
 
+def rectangular(rng, shape):
+    """Return such a plant of so many outputs and inputs."""
+    ny, nu = shape
+    square = modal(rng, max(shape))
+    return StateSpace(square.A, square.B[:, :nu], square.C[:ny], square.D[:ny, :nu], RATE_HZ)
+
+
 def regulator(plant, rng):
     """Return an LQG law u = K y of random weights from SciPy's Riccati equations."""
     A, B, C, m = plant.A, plant.B, plant.C, plant.D.shape[0]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from limit_plants import RATE_HZ, band, modal, responses
+from limit_plants import RATE_HZ, band, modal, rectangular, responses
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.design import Lqg
@@ -111,9 +111,7 @@ def test_an_uncertainty_that_leaves_no_controller_is_named():
 @pytest.mark.parametrize("shape", [(4, 3), (3, 5)])
 def test_the_bound_of_a_direction_holds_for_a_law_of_all_channels(rng, shape):
     """What a law of all channels does along v, to the plant off by e v v' that suits it least, is within the bound."""
-    ny, nu = shape
-    square = modal(rng, max(shape))
-    plant = StateSpace(square.A, square.B[:, :nu], square.C[:ny], square.D[:ny, :nu], RATE_HZ)
+    plant = rectangular(rng, shape)
     law = Lqg().design(plant).controller
     quiet = band(rng)
     found = distance(plant, law, quiet, basis=10, uncertainty=0.1)
@@ -125,7 +123,7 @@ def test_the_bound_of_a_direction_holds_for_a_law_of_all_channels(rng, shape):
     v, f = found.direction, np.geomspace(*quiet, 60)
     G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, law))
     off = 0.1 * np.exp(1j * np.linspace(0, 2 * np.pi, 48, endpoint=False))
-    true = np.array([np.linalg.inv(np.eye(ny) - (np.eye(ny) + e * np.outer(v, v)) @ G @ K) for e in off])
+    true = np.array([np.linalg.inv(np.eye(shape[0]) - (np.eye(shape[0]) + e * np.outer(v, v)) @ G @ K) for e in off])
     worst = -20 * np.log10(np.abs(np.einsum("i,ekij,j->ek", v, true, v)).max())
     print(f"the worst of these plants: {worst:.2f} dB along v")
     if np.isfinite(found.robust.bound_db):

@@ -23,6 +23,7 @@ LANCZOS = 40
 DEEPEST_DB, WITHIN_DB = (20.0, 10.0, 5.0, 2.5, 1.25, 0.6, 0.3), 0.04
 FURTHEST = 100.0  # from one, beyond which it does not matter how far a norm is from it
 LEAST_DISC = 1e-12
+LEAST_LOG = -30.0  # of a weight beside the largest
 NOT_BINDING = 1e-7  # share of the largest multiplier up to which a point does not bind
 APART = 3  # points of the grid from which on two that bind are of two groups
 
@@ -49,9 +50,7 @@ def weights_at(
         at = grid_angles[on]
         density = np.maximum(multiplier[on], 1e-300) / np.maximum(np.gradient(at), 1e-12)
         logs.append(gaussian_filter1d(np.interp(angles, at, np.log(density)), smoothed / 2, mode="reflect"))
-    level = np.array(logs)
-    share = np.exp(np.clip(level - level.max(axis=0), -30, 0))
-    return share / share.sum(axis=0)
+    return _shares(np.array(logs))
 
 
 def weights_between(
@@ -76,10 +75,14 @@ def weights_between(
     groups = np.split(binding, np.flatnonzero(np.diff(binding) > APART) + 1)
     places = np.array([np.average(grid_angles[g], weights=total[g]) for g in groups])
     share = np.array([sizes[:, g].sum(axis=1) / total[g].sum() for g in groups]).T
-    logs = np.log(np.maximum(share, np.exp(-30.0)))
+    logs = np.log(np.maximum(share, np.exp(LEAST_LOG)))
     level = np.array([np.interp(angles, places, log) for log in logs])
-    level = gaussian_filter1d(level, smoothed / 2, axis=1, mode="reflect")
-    share = np.exp(np.clip(level - level.max(axis=0), -30, 0))
+    return _shares(gaussian_filter1d(level, smoothed / 2, axis=1, mode="reflect"))
+
+
+def _shares(level: FloatArray) -> FloatArray:
+    """Return weights that add up to one from their logarithms."""
+    share = np.exp(np.clip(level - level.max(axis=0), LEAST_LOG, 0))
     return share / share.sum(axis=0)
 
 
