@@ -93,7 +93,7 @@ def test_a_gain_is_no_model_without_feedthrough(rng):
         strictly_proper = uq.identify.WeightedRational(order=4).identify(record)
         direct = uq.identify.WeightedRational(order=2, feedthrough=True).identify(record)
         print(strictly_proper.status, direct.status)
-        assert strictly_proper.status.word == "poor fit"
+        assert strictly_proper.status.word in {"poor fit", "not white"}
         assert direct.fit_percent[0] > 90.0
 
 

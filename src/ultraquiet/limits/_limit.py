@@ -9,6 +9,8 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
+NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
+
 
 @dataclass(frozen=True, eq=False)
 class Limit:
@@ -48,3 +50,8 @@ class Limit:
 def refused(sentence: str) -> Limit:
     """Return a limit that is none."""
     return Limit(Status(StatusWord.REFUSED, sentence))
+
+
+def attenuation(level: float) -> float:
+    """Return a level of |S| as attenuation in dB."""
+    return -20 * float(np.log10(max(level, NO_LEVEL)))

@@ -8,6 +8,9 @@ from ultraquiet.limits.circle import Circle
 # Poles at an edge of the band lie at this share of its frequency from the axis, halved from one to the next: such a
 # sequence follows a jump with an error that falls with the exponential of its length (as rational functions do |x|).
 EDGE, EDGE_STEP = 0.7, 0.5
+# A band narrower than its lower edge lies closer: poles at this share of its width, and more of them to an octave, for
+# such a band is deeper and |S| the steeper at its edges.
+NARROW_STEP = 0.7
 BROAD = np.exp(1j * np.radians(120))  # damping 0.5 of the poles that are spread over the axis
 LEAST_DAMPING = 0.01
 ALIKE = 0.02
@@ -15,9 +18,17 @@ SPREAD_BELOW, SPREAD_ABOVE = 4.0, 0.9  # of the lower edge; of the Nyquist frequ
 CONTINUOUS_ABOVE = 100.0  # times the upper edge, where there is no Nyquist frequency
 NEAREST = 1e-4  # of an edge's frequency, the nearest pole; the grid comes a hundred times nearer
 EVEN, AROUND_EDGE, AROUND_ROOT = 1200, 90, 41
+FINER = 4  # times as many points, to look between those of a grid
 
 
-def basis_poles(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float], size: int) -> ComplexArray:
+def is_narrow(band_hz: tuple[float, float]) -> bool:
+    """Return whether a band is narrower than its lower edge."""
+    return band_hz[1] - band_hz[0] < band_hz[0]
+
+
+def basis_poles(
+    roots: ComplexArray, circle: Circle, band_hz: tuple[float, float], size: int, narrow: bool = False
+) -> ComplexArray:
     """Return about `size` states' worth of poles on the disc: the plant's, edges of the band, spread, and delays.
 
     Args:
@@ -25,13 +36,17 @@ def basis_poles(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float
         circle: the warped circle.
         band_hz: the band.
         size: wanted number of states; the plant's own come on top.
+        narrow: whether poles at an edge go by the width of the band and not by the frequency of the edge.
     """
     own = _apart(roots[np.isfinite(roots) & (roots.imag >= 0)])
     own = -np.maximum(np.abs(own.real), LEAST_DAMPING * np.abs(own)) + 1j * own.imag
     # of three pairs and a bit, one goes to each edge and one over the axis; the rest are samples of delay
     pairs = max(1, size // 7)
-    shares = np.geomspace(EDGE, max(NEAREST, EDGE * EDGE_STEP ** (pairs - 1)), pairs)
-    edges = [e * (1j - share) for share in shares for e in _rad(circle, np.array(band_hz))]
+    at = _rad(circle, np.array(band_hz))
+    reach = np.full(2, at[1] - at[0]) if narrow else at
+    step = NARROW_STEP if narrow else EDGE_STEP
+    shares = np.geomspace(EDGE, max(NEAREST, EDGE * step ** (pairs - 1)), pairs)
+    edges = [1j * e - share * r for share in shares for e, r in zip(at, reach, strict=True)]
     top = CONTINUOUS_ABOVE * band_hz[1] if circle.rate_hz is None else SPREAD_ABOVE * circle.rate_hz / 2
     spread = BROAD * _rad(circle, np.geomspace(band_hz[0] / SPREAD_BELOW, top, pairs + pairs // 3))
     quick = np.full(max(1, size - 6 * pairs), -_quickest(circle, top), dtype=np.complex128)
@@ -52,6 +67,12 @@ def frequencies(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float
         parts.append(at)
     f = np.unique(np.concatenate(parts))
     return f[(f >= 0) & (f <= even[-1])]
+
+
+def finer(f_hz: FloatArray) -> FloatArray:
+    """Return the grid with three points more between every two."""
+    at = np.arange(f_hz.size * FINER - FINER + 1) / FINER
+    return np.interp(at, np.arange(f_hz.size), f_hz)
 
 
 def _apart(roots: ComplexArray) -> ComplexArray:

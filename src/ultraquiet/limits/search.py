@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.shown.line import counted, hertz, loudness
 from ultraquiet.limits import certificate, grid, half_plane
-from ultraquiet.limits._limit import Limit, refused
+from ultraquiet.limits._limit import Limit, attenuation, refused
 from ultraquiet.limits.basis import OrthonormalBasis, chain
 from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.demands import ERROR, IN_BAND, WHO, Wishes
@@ -31,7 +31,6 @@ CIRCLES = (
     (1 << 16, 8, certificate.weights_at),
 )
 USED_UP = 0.99  # share of a demand from which on it binds
-FINER = 4
 QUADRATURE = 1 << 13
 NEGLIGIBLE = 1e-3  # share of a demand by which it may be exceeded between points
 EXCEEDED = 0.01  # from here on a law does not keep the demand, and is no proof of what can be had
@@ -46,7 +45,7 @@ GUESSES = 3  # of the level, where what it is worth decides
 WORTH = 0.02  # error times level below which |1 - S| counts as one
 GAINED = 1e-4  # share of a level that another guess must gain
 NONE_IS_SURE = "no controller makes every such plant quieter there"
-NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
+DEEP_DB = 90.0  # from here on levels are so far apart that poles at an edge add more rounding than attenuation
 
 Stretches = tuple[tuple[float, float], ...]
 
@@ -54,13 +53,13 @@ Stretches = tuple[tuple[float, float], ...]
 class LimitSearch:
     """Everything that depends on plant, band and basis, but not on the demands."""
 
-    def __init__(self, loops: Loops, band_hz: tuple[float, float], basis: int) -> None:
+    def __init__(self, loops: Loops, band_hz: tuple[float, float], basis: int, narrow: bool = False) -> None:
         plant = loops.plant
-        self.loops, self.band_hz = loops, band_hz
+        self.loops, self.band_hz, self.states, self.narrow = loops, band_hz, basis, narrow
         self.circle = Circle(plant.rate_hz, float(np.sqrt(band_hz[0] * band_hz[1])))
         zeros = invariant_zeros(plant.A, plant.B, plant.C, plant.D)
         self.roots = half_plane.half_plane(np.concatenate([plant.poles(), zeros, *self._regulated()]), plant.rate_hz)
-        self.poles = grid.basis_poles(self.roots, self.circle, band_hz, basis)
+        self.poles = grid.basis_poles(self.roots, self.circle, band_hz, basis, narrow)
         self.basis = chain(self.poles)
         self.f_hz = grid.frequencies(self.roots, self.circle, band_hz)
         self.lines = loops.at(self.f_hz)
@@ -82,9 +81,26 @@ class LimitSearch:
     ) -> Limit:
         """Return the limit under these demands.
 
-        The bound is that of the loop `bounded_by`; its own when absent, and then half of the basis is tried too.
+        The bound is that of the loop `bounded_by`; its own when absent, and then half of the basis is tried too. In a
+        narrow band poles closer to its edges are tried beside the others, where what is reached is not beyond numbers.
         """
-        f = np.union1d(_finer(self.f_hz[self.inside]), np.geomspace(*wishes.band_hz, FINE_BAND))
+        found = self._limit(wishes, noise_gain, certify, bounded_by)
+        deep = found.controller is None or found.attenuation_db > DEEP_DB
+        if self.narrow or deep or not grid.is_narrow(self.band_hz):
+            return found
+        closer = LimitSearch(self.loops, self.band_hz, self.states, narrow=True)
+        again = closer.limit(wishes, noise_gain, certify, bounded_by)
+        return max(found, again, key=lambda limit: (limit.status.ok, limit.attenuation_db))
+
+    def _limit(
+        self,
+        wishes: Wishes,
+        noise_gain: float | None,
+        certify: bool,
+        bounded_by: Callable[[FloatArray], AffineLoops] | None,
+    ) -> Limit:
+        """Return the limit of these functions, sought anew where a law exceeds a demand between the points."""
+        f = np.union1d(grid.finer(self.f_hz[self.inside]), np.geomspace(*wishes.band_hz, FINE_BAND))
         error = wishes.errors(f)
         if error is not None and error.max() >= 1:
             at = hertz(float(f[np.argmax(error)]))
@@ -272,7 +288,7 @@ class LimitSearch:
         self, wishes: Wishes, solution: ConeSolution, gain: float, bound_db: float, half_db: float
     ) -> tuple[Limit, FloatArray]:
         """Judge the solution on a finer grid and word it; return where it exceeds a demand there, too."""
-        f = _finer(self.f_hz)
+        f = grid.finer(self.f_hz)
         lines = self.loops.at(f)
         q = solution.weights @ self.basis.at(self.circle.angles(f))
         S, size = wishes.largest(f, lines.a + lines.b * q), np.abs(lines.c + lines.d * q)
@@ -339,22 +355,11 @@ class LimitSearch:
         return f"{WHO}: no stabilising controller keeps all demands; {named}."
 
 
-def attenuation(level: float) -> float:
-    """Return a level of |S| as attenuation in dB."""
-    return -20 * float(np.log10(max(level, NO_LEVEL)))
-
-
-def _finer(f_hz: FloatArray) -> FloatArray:
-    """Return the grid with three points more between every two."""
-    at = np.arange(f_hz.size * FINER - FINER + 1) / FINER
-    return np.interp(at, np.arange(f_hz.size), f_hz)
-
-
 def _stretches(f_hz: FloatArray, on: np.ndarray) -> Stretches:
     """Return the intervals over which `on` holds; those a semitone or a few points apart are one."""
     spans: list[list[int]] = []
     for k in np.flatnonzero(on):
-        if spans and (k - spans[-1][1] <= 3 * FINER or f_hz[k] <= f_hz[spans[-1][1]] * 2 ** (1 / 12)):
+        if spans and (k - spans[-1][1] <= 3 * grid.FINER or f_hz[k] <= f_hz[spans[-1][1]] * 2 ** (1 / 12)):
             spans[-1][1] = int(k)
         else:
             spans.append([int(k), int(k)])
