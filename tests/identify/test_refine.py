@@ -96,6 +96,7 @@ def coloured(rng, n=6000):
     return uq.Record(u, y, 200.0), e
 
 
+@pytest.mark.draws(false_alarm=2e-3)  # a verdict of two tests at the level of a thousandth
 def test_the_one_step_error_is_the_innovation(rng):
     record, e = coloured(rng)
     method = uq.identify.Subspace(order=4, feedthrough=False, refine=True, focus="prediction")
@@ -171,6 +172,7 @@ BESIDE_AN_INTEGRATOR = pytest.param(
 )
 
 
+@pytest.mark.draws(false_alarm=2e-3)  # a verdict of two tests at the level of a thousandth
 @pytest.mark.parametrize("method", [uq.identify.Subspace(order=3, refine=True), BESIDE_AN_INTEGRATOR])
 @pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
 def test_an_integrator_is_refined_to_one(method, nu, ny, rng):

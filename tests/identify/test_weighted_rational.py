@@ -167,6 +167,7 @@ def test_a_far_zero_and_a_delay_that_stand_in_for_each_other_are_both_told(ny, n
     assert any(mirrored)
 
 
+@pytest.mark.draws(false_alarm=1e-3)  # a verdict at the level of a thousandth
 def test_what_a_record_leaks_is_fitted_with_it(rng):
     """A record cut from the middle of a run: the model is as good as its noise allows."""
     plant = resolved(rng, 3, 2, 1)
@@ -251,6 +252,7 @@ def multisine(periods, seed):
     return signal.generate(2000 * periods, 1000.0, seed=seed)[None]
 
 
+@pytest.mark.draws(false_alarm=1e-3)  # a verdict at the level of a thousandth
 def test_periods_of_one_record_weigh_as_their_mean_response_does(rng, seed):
     """The curvature of a resonance is no distortion: taken for it, the lines that know a mode best weighed least."""
     plant, record = ringing(rng, 0.01, multisine(10, seed))
