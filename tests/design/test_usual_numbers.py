@@ -137,3 +137,12 @@ def test_even_units_of_a_problem_stand_still(rng, u, y):
         again = even_problem(first.plant, 2, 2)
         assert again.level == 1.0
         assert {*again.controls, *again.measurements} == {1.0}
+
+
+@pytest.mark.parametrize(("u", "y"), [(1.0, 1.0), (2.0, 1.0), (1e-4, 1e5)])
+def test_poles_that_every_channel_repeats_are_put_together_where_no_level_was_solved(u, y):
+    """Delays and the weights of two channels: eigenvectors anywhere in their spaces, cond 1e7."""
+    plant = ordinary(np.random.default_rng(4207922909), (2, 2), modes=3)
+    found = uq.design.MixedSensitivity(form="sks").design(scaled(plant, u, y))
+    print(f"{found.gamma:.6f}")
+    assert found.gamma == pytest.approx(9.34832, rel=1e-5)

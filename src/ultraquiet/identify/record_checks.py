@@ -135,15 +135,31 @@ def _share_of_last_tenth(x: FloatArray) -> float:
 
 def exciting(who: str, record: Record, parameters: int) -> None:
     """Refuse an input of so few spectral lines that other models fit it as well: a steady tone fixes two parameters."""
-    for u, wire in zip(record.inputs, record.actuators, strict=True):
-        window = np.blackman(u.size)
-        power = np.abs(np.fft.rfft(heard_by(window, u - u.mean()) * window)) ** 2
-        carried = int(np.count_nonzero(power > LINE_SHARE * power.max())) // BINS_PER_PARAMETER
+    for carried, wire in zip(parameters_carried(record.inputs), record.actuators, strict=True):
         if carried < parameters:
             raise InputError(
                 f"{who}: input '{wire.name}' holds spectral lines for about {carried} parameters, the path from it has "
                 f"{parameters}; excite a band (noise, chirp, many tones) or lower the order."
             )
+
+
+def parameters_carried(inputs: FloatArray) -> list[int]:
+    """Return about how many parameters of an output the spectral lines of each input tell, two a steady tone.
+
+    >>> t = np.arange(1000)
+    >>> parameters_carried(np.sin([0.1 * t, 0.1 * t + np.sin(0.7 * t)]))[0]
+    2
+    """
+    carried = []
+    for u in inputs:
+        window = np.blackman(u.size)
+        carried.append(parameters_of(np.abs(np.fft.rfft(heard_by(window, u - u.mean()) * window)) ** 2))
+    return carried
+
+
+def parameters_of(power: FloatArray) -> int:
+    """Return about how many parameters an input of this power at each line tells."""
+    return int(np.count_nonzero(power > LINE_SHARE * power.max())) // BINS_PER_PARAMETER
 
 
 def heard_by(window: FloatArray, u: FloatArray) -> FloatArray:

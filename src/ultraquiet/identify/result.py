@@ -86,7 +86,13 @@ class Identification(Protocol):
         ...
 
 
-SEVERITY = (StatusWord.OK, StatusWord.NOT_WHITE, StatusWord.POOR_FIT, StatusWord.NOT_CONVERGED)
+SEVERITY = (
+    StatusWord.OK,
+    StatusWord.NOT_WHITE,
+    StatusWord.UNKNOWN_IN_PART,
+    StatusWord.POOR_FIT,
+    StatusWord.NOT_CONVERGED,
+)
 
 
 def worst(statuses: list[Status]) -> Status:

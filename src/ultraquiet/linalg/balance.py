@@ -24,6 +24,10 @@ NEAREST = 1e-6  # conjugates are no nearer to the boundary than each other
 HIDDEN = 1e-12  # of the largest Hankel value: below it a state is moved or seen by round-off alone
 SLOWED = 1.1  # the shortest memory in which states that grow or stay are told apart
 PARALLEL = 1e-6  # eigenvectors of unit size whose product is this near one count as parallel
+# The same where T is ill-conditioned, and whether poles that are repeated are together even where their eigenvectors
+# are not parallel: those of a solver may be anywhere in their space.
+COARSER = ((PARALLEL, True), (1e-3, True), (0.1, True))
+ALIKE = 1e-7  # of a repeated pole, whatever is as near to it is told from it by rounding alone
 PAIR = 2  # states of a block of one mode
 ROOT_TWO = np.sqrt(2.0)
 
@@ -39,13 +43,14 @@ class Coordinates(NamedTuple):
     blocks: tuple[int, ...]
 
 
-def modal(A: Array, B: Array, C: Array) -> Coordinates:
+def modal(A: Array, B: Array, C: Array, in_parts: bool = False) -> Coordinates:
     """Return real modal coordinates, |b| = |c| block by block.
 
     A complex pair becomes [[re, im], [-im, re]], a real eigenvalue a single entry. Modes too close to be told apart
-    (delays, repeated poles) are kept together in one real Schur block, so that T stays well conditioned.
+    (delays, repeated poles) are kept together in one real Schur block, so that T stays well conditioned. Where it does
+    not, all is one block; with `in_parts` ever more is put together before.
     """
-    T, inverse, sizes = _separated(A)
+    T, inverse, sizes = _separated(A, COARSER if in_parts else ())
     return _even(inverse @ A @ T, inverse @ B, C @ T, T, inverse, sizes)
 
 
@@ -246,13 +251,27 @@ def well_conditioned(T: Array, inverse: Array, limit: float) -> bool:
     return bool(np.linalg.cond(T) < limit)
 
 
-def _separated(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
+def _separated(A: Array, coarser: tuple[tuple[float, bool], ...]) -> tuple[Array, Array, tuple[int, ...]]:
     """Return a well-conditioned T that block-diagonalises A, its inverse, and the block sizes."""
     n = A.shape[0]
     if n == 0:
         return np.eye(0), np.eye(0), ()
     values, vectors = np.linalg.eig(A)
-    groups = _clusters(values, vectors)
+    tried: list[list[list[int]]] = []
+    for parallel, repeated in ((PARALLEL, False), *coarser):
+        groups = _clusters(values, vectors, parallel, repeated)
+        if groups not in tried:
+            found = _by_groups(A, values, vectors, groups)
+            if found is not None:
+                return found
+            tried.append(groups)
+    return _whole(A)
+
+
+def _by_groups(
+    A: Array, values: Array, vectors: Array, groups: list[list[int]]
+) -> tuple[Array, Array, tuple[int, ...]] | None:
+    """Return what `_separated` does with these groups of modes; None where T is ill-conditioned or not found."""
     try:
         form, along = (A, A), values
         if any(_tangled(values, g) for g in groups):
@@ -262,17 +281,14 @@ def _separated(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
             _invariant(form, along, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g])
             for g in groups
         ]
-    except np.linalg.LinAlgError:
-        # The reordering moved eigenvalues of a tight cluster across the border between it and its neighbours.
-        return _whole(A)
-    T = np.hstack(bases)
-    if T.shape != (n, n):
-        return _whole(A)
-    try:
+        T = np.hstack(bases)
+        if T.shape != A.shape:
+            return None
         inverse = np.linalg.inv(T)
     except np.linalg.LinAlgError:
-        return _whole(A)
-    return (T, inverse, tuple(len(g) for g in groups)) if well_conditioned(T, inverse, MODAL_CONDITION) else _whole(A)
+        # The reordering moved eigenvalues of a tight cluster across the border between it and its neighbours.
+        return None
+    return (T, inverse, tuple(len(g) for g in groups)) if well_conditioned(T, inverse, MODAL_CONDITION) else None
 
 
 def _whole(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
@@ -281,22 +297,49 @@ def _whole(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
     return T, T.T.copy(), (len(A),)
 
 
-def _clusters(values: Array, vectors: Array) -> list[list[int]]:
-    """Group eigenvalues whose eigenvectors are nearly parallel; conjugates stay together."""
+def _clusters(values: Array, vectors: Array, parallel: float, repeated: bool) -> list[list[int]]:
+    """Group eigenvalues whose eigenvectors are nearly parallel, or all that are repeated; conjugates stay together.
+
+    So does all that shares the value of such a group, as other chains of a repeated pole do: its invariant subspace is
+    told by values alone.
+    """
     n = values.size
-    near = np.abs(vectors.conj().T @ vectors) > 1 - PARALLEL
+    near = np.abs(vectors.conj().T @ vectors) > 1 - parallel
     own = np.arange(n)
     mirror = np.argmin(np.abs(values[:, None] - values.conj()[None, :]), axis=1)
     near[own, own] = near[own, mirror] = True
+    if repeated:
+        near |= np.abs(values[:, None] - values[None, :]) <= ALIKE * np.abs(values)
     if np.array_equal(mirror[mirror], own) and near.sum() == n + np.sum(mirror != own):
         label = np.minimum(own, mirror)  # as almost always: nothing is tied but conjugates
     else:
-        _, label = connected_components(near, directed=False)
+        label = _with_their_like(values, near)
     order = np.lexsort((values.imag < 0, np.abs(values.imag), values.real))
     groups: dict[int, list[int]] = {}
     for i in order:
         groups.setdefault(int(label[i]), []).append(int(i))
     return list(groups.values())
+
+
+def _with_their_like(values: Array, near: Array) -> Array:
+    """Return the group of each eigenvalue: those that are tied, and with several whatever lies among them."""
+    count, label = connected_components(near, directed=False)
+    while True:
+        for k in range(count):
+            group = np.flatnonzero(label == k)
+            if _tangled(values, [int(i) for i in group]):
+                apart = np.abs(values[:, None] - values[None, group])
+                radius = _spread(values[group]) + ALIKE * np.abs(values[group]).max()
+                near[np.any(apart <= radius, axis=1), group[0]] = True
+        before, (count, label) = count, connected_components(near, directed=False)
+        if count == before:
+            return label
+
+
+def _spread(values: Array) -> float:
+    """Return how far the eigenvalues of a group lie from the middle of those on their side of the real axis."""
+    upper = values.real + 1j * np.abs(values.imag)
+    return float(np.abs(upper - upper.mean()).max())
 
 
 def _tangled(values: Array, group: list[int]) -> bool:

@@ -68,8 +68,11 @@ class Level(NamedTuple):
     proof: bool = False
 
 
-def normalise(M: Matrices, ny: int, nu: int) -> NormalisedPlant:
+def normalise(M: Matrices, ny: int, nu: int, in_parts: bool = False) -> NormalisedPlant:
     """Return the problem with frequencies near one, states in even modal coordinates, unit D12 and D21.
+
+    `in_parts` as in `balance.modal`: where poles are repeated, two ways to put states together, of which one may give
+    an equation that is solved and the other none.
 
     Raises:
         NumericalError: D12 lacks full column rank or D21 full row rank.
@@ -82,7 +85,7 @@ def normalise(M: Matrices, ny: int, nu: int) -> NormalisedPlant:
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
     A, B, C = A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed)
-    form = balance.modal(*even_states(A, B, C)[:3])
+    form = balance.modal(*even_states(A, B, C)[:3], in_parts)
     return NormalisedPlant(
         A=form.A,
         B1=form.B[:, :m],

@@ -182,7 +182,10 @@ def _solved(
             return _asked(v, sought.gamma)
         margin = sought.margin
         expected = None if sought.expected is None else sought.expected * problem.level
-        bracket = search(v.plant, max(FINEST, COARSENESS * (margin - 1)), expected)
+        width = max(FINEST, COARSENESS * (margin - 1))
+        bracket = search(v.plant, width, expected)
+        if bracket.best.reason and v.in_parts():
+            bracket = search(v.plant, width, expected)
         result = first = _formed(v, bracket, margin, sought)
         for calmer in sought.calmer:
             if result.controller is None or result.controller.is_stable():

@@ -1,6 +1,6 @@
 """What a state-space model is worth: evidence, verdict, and the result that carries both."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify import chance
+from ultraquiet.identify.record_checks import parameters_carried
 from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, shares_of, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
@@ -91,6 +92,8 @@ def judged(
     told = _explained(system, data, v, e, search.predicts)
     if told is not None:
         statuses = [_unless_silent(*each, data.samples, system) for each in zip(statuses, free, told, strict=True)]
+    guess = between_lines(parameters_carried(record.inputs), ny, len(system.A))
+    statuses = [guess if guess is not None and status.ok else status for status in statuses]
     statuses = [unless_clipped(*each) for each in zip(statuses, record.clipped(), record.sensors, strict=True)]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
@@ -109,6 +112,21 @@ def judged(
         details={**details, "spare_modes": spare},
         spread=spread,
         no_band=no_band,
+    )
+
+
+def between_lines(told: Sequence[int], ny: int, order: int) -> Status | None:
+    """Return the verdict on states that have as many parameters as the lines of each input have `told`; None of fewer.
+
+    Poles, and a share of each in every path, meet so many lines whatever the plant does between them.
+    """
+    carried, needed = ny * sum(told), order * (1 + ny * len(told))
+    if needed < carried:
+        return None
+    return Status(
+        StatusWord.UNKNOWN_IN_PART,
+        f"The inputs hold spectral lines for about {carried} parameters, {order} states have {needed}: what the model "
+        f"says between those lines is a guess; excite a band (noise, chirp, many tones).",
     )
 
 

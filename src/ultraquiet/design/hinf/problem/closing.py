@@ -87,9 +87,10 @@ def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> 
         before, high = high, min(high, v.best.achieved * scale)
         low = low if high < before else middle
     v.searched = low, shown
-    final = v.at(high * margin) if margin > 1 + CLOSE else None
     # a controller a little off the optimum is the better one to build; one far off it is not what was asked for
-    chosen = final if final is not None and final.keeps and final.achieved * scale <= high * margin else v.best
+    routes = (v.at, v.beside) if margin > 1 + CLOSE else ()
+    calmer = (final for route in routes if (final := route(high * margin)) is not None)
+    chosen = next((c for c in calmer if c.keeps and c.achieved * scale <= high * margin), v.best)
     return Closed(chosen, shown, high, high <= shown * (1 + OPEN))
 
 

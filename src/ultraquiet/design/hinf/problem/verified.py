@@ -69,9 +69,17 @@ class Verifier:
     searched: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        self.plant = self._normalised(in_parts=False)
+
+    def _normalised(self, in_parts: bool) -> riccati.NormalisedPlant:
         M = (self.even.A, self.even.B, self.even.C, self.even.D)
         continuous = M if self.even.rate_hz is None else bilinear_to_continuous(*M)
-        self.plant = riccati.normalise(continuous, self.ny, self.nu)
+        return riccati.normalise(continuous, self.ny, self.nu, in_parts)
+
+    def in_parts(self) -> bool:
+        """Put the states into other coordinates, where no level was solved; return whether there are any."""
+        before, self.plant = self.plant, self._normalised(in_parts=True)
+        return self.plant.form.blocks != before.form.blocks
 
     def at(self, gamma: float, known: riccati.Level | None = None) -> Reached | None:
         """Return what the central controller of a level (of the even problem) gives; None where there is none."""

@@ -15,7 +15,7 @@ from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import chance
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
-from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.record_checks import parameters_of, usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, worst
 from ultraquiet.identify.subspace import (
     evidence,
@@ -47,6 +47,7 @@ class ScaledStream:
     record: LongRecord
     statistics: LongRecordStatistics
     added: FloatArray | None = None  # to the inputs, over and over: see `unexcited.topped_up`
+    told: tuple[int, ...] = ()  # parameters by the lines of each input, as they are known once topped up
 
     @property
     def samples(self) -> int:
@@ -83,7 +84,8 @@ class ScaledStream:
                 progress.advance(size)
         asked, own, heard = (np.mean(np.stack(each), axis=0) for each in zip(*powers, strict=True))
         bands = unexcited.bands_of(asked)
-        return replace(self, added=unexcited.noise(own, heard, bands, size)) if bands else self
+        added = unexcited.noise(own, heard, bands, size) if bands else None
+        return replace(self, added=added, told=tuple(parameters_of(power) for power in asked))
 
     def first(self, samples: int) -> fit.Scaled:
         """Return the beginning of the record in memory."""
@@ -268,6 +270,8 @@ def _judged(
         )
         for i, p in enumerate(free)
     ]
+    guess = evidence.between_lines(data.told, ny, len(system.A))
+    statuses = [guess if guess is not None and status.ok else status for status in statuses]
     at_limits = zip(statuses, data.statistics.clipped.tolist(), data.record.sensors, strict=True)
     statuses = [evidence.unless_clipped(*each, what="a part of it in memory") for each in at_limits]
     whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
