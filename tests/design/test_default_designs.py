@@ -57,10 +57,11 @@ def upset_within_the_disk(rng, plant, law, alpha=0.2, draws=DRAWS):
 @pytest.mark.parametrize(
     ("design", "shape"),
     [
-        (Lqg, (1, 1)),
-        (Lqg, (3, 5)),
-        (MixedSensitivity, (4, 3)),
-        (BandAttenuation, (2, 3)),
+        # 10 dB on eight of ten are promised: 15 of 200, 2, 3 and 3 of 100 such plants get less
+        pytest.param(Lqg, (1, 1), marks=pytest.mark.draws(false_alarm=0.1)),
+        pytest.param(Lqg, (3, 5), marks=pytest.mark.draws(false_alarm=0.05)),
+        pytest.param(MixedSensitivity, (4, 3), marks=pytest.mark.draws(false_alarm=0.06)),
+        pytest.param(BandAttenuation, (2, 3), marks=pytest.mark.draws(false_alarm=0.06)),
         # three of fifty such plants end short, by 0.1 to 3 dB; ok on nine of ten is promised
         pytest.param(PeakBounded, (1, 1), marks=pytest.mark.draws(false_alarm=0.1)),
         pytest.param(PeakBounded, (3, 5), marks=pytest.mark.slow),

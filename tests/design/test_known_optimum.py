@@ -108,6 +108,7 @@ def test_the_central_law_keeps_its_level(seed, shape, rate_hz):
     assert known * (1 - 1e-6) <= norm <= 1.05 * known * (1 + 1e-6)
 
 
+@pytest.mark.draws(false_alarm=0.03)  # 4 of 300 laws, whose lines do not show a margin that is less by a third
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_a_margin_is_decided_as_it_is_measured(seed, rate_hz):
     rng = np.random.default_rng(seed)

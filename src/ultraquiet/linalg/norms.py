@@ -36,6 +36,7 @@ GAINED = 1e-10  # what a parabola that was worth its while adds to the peak
 # frequencies and whose states are decades apart, that many of the highest places are looked at with refinement.
 HIGHEST = 40
 EXACTLY = 150  # states, up to which that is done
+MOVED = 1e-2  # of the accuracy, from which on rounding may move a peak
 # A response off by no more than that share is believed about where it is lower than the peak by so many times as much.
 CREDIBLE, BELIEVED = 1e-4, 10.0
 DOUBLINGS = 30  # of a step away from a peak, until the response says that it is off the peak
@@ -138,8 +139,9 @@ def _refined(
         top, x = _parabola(at, start, abs(float(near.real)))
         if top > best:
             best, where = top, x
-    # two forms may agree by luck: whether the response is known so well, the exact one at the peak says
-    off = abs(best / exact.one(where) - 1)
+    # two forms may agree by luck: whether the response is known so well, the exact one says
+    looked = _where_told(places, where, 1.0 if discrete else float(np.abs(poles).max()), accuracy)
+    off = float(np.abs(at(looked) / exact(looked) - 1).max())
     if not off > accuracy or len(A) > EXACTLY:
         return best, where
     looks = np.concatenate([[where], looks, np.abs(places), np.abs(places.imag)])
@@ -147,6 +149,13 @@ def _refined(
     if off > CREDIBLE:
         return _sought(exact, looks, last)
     return _told_apart(at, exact, looks[at(looks) >= best * (1 - BELIEVED * off)], off, last)
+
+
+def _where_told(places: Array, w: float, size: float, accuracy: float) -> Array:
+    """Return where the exact response says how well a peak is known, also beside it where rounding of A may move it."""
+    decay = float(np.abs(places[np.argmin(np.abs(places - 1j * w))].real))
+    moved = np.finfo(float).eps * size > MOVED * accuracy * decay
+    return np.abs(w + np.sqrt(accuracy) * decay * np.array([-1.0, 0.0, 1.0] if moved else [0.0]))
 
 
 class _Known:
