@@ -63,5 +63,7 @@ def test_kernel_does_what_its_twin_does(method, twin, direct, seed, rng):
     # round-off, carried on through two thousand updates of a matrix of covariances, is all that may differ (2e-7 seen)
     gap = np.abs(mine - its).max() / np.abs(its).max()
     print(f"{type(method).__name__}: commands up to {np.abs(its).max():.3f} V, differ by {gap:.1e} of that")
-    assert np.abs(its).max() > 1e-3
+    # laws that hardly moved would agree as well: a thousandth of what cancels the tone where the plant answers most
+    strongest = max(np.linalg.norm(plant.frequency_response([x])[:, :, 0], 2) for x in (float(f[0]), float(f[-1])))
+    assert np.abs(its).max() > 1e-3 * np.abs(d).max() / strongest
     assert gap < 1e-5
