@@ -92,8 +92,7 @@ def judged(
     told = _explained(system, data, v, e, search.predicts)
     if told is not None:
         statuses = [_unless_silent(*each, data.samples, system) for each in zip(statuses, free, told, strict=True)]
-    guess = between_lines(parameters_carried(record.inputs), ny, len(system.A))
-    statuses = [guess if guess is not None and status.ok else status for status in statuses]
+    statuses = unless_a_guess(statuses, parameters_carried(record.inputs), len(system.A))
     statuses = [unless_clipped(*each) for each in zip(statuses, record.clipped(), record.sensors, strict=True)]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
@@ -115,19 +114,22 @@ def judged(
     )
 
 
-def between_lines(told: Sequence[int], ny: int, order: int) -> Status | None:
-    """Return the verdict on states that have as many parameters as the lines of each input have `told`; None of fewer.
+def unless_a_guess(statuses: Sequence[Status], told: Sequence[int], order: int) -> list[Status]:
+    """Return the verdicts on all outputs, no praise where states have as many parameters as the inputs' lines tell.
 
-    Poles, and a share of each in every path, meet so many lines whatever the plant does between them.
+    Poles, and a share of each in every path, meet so many lines whatever the plant does between them. `told` are the
+    parameters of one output that the lines of each input tell.
     """
+    ny = len(statuses)
     carried, needed = ny * sum(told), order * (1 + ny * len(told))
     if needed < carried:
-        return None
-    return Status(
+        return list(statuses)
+    guess = Status(
         StatusWord.UNKNOWN_IN_PART,
         f"The inputs hold spectral lines for about {carried} parameters, {order} states have {needed}: what the model "
         f"says between those lines is a guess; excite a band (noise, chirp, many tones).",
     )
+    return [guess if status.ok else status for status in statuses]
 
 
 def unless_clipped(status: Status, clipped: int, sensor: Channel, what: str = "the record") -> Status:

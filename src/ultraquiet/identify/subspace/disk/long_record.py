@@ -270,8 +270,7 @@ def _judged(
         )
         for i, p in enumerate(free)
     ]
-    guess = evidence.between_lines(data.told, ny, len(system.A))
-    statuses = [guess if guess is not None and status.ok else status for status in statuses]
+    statuses = evidence.unless_a_guess(statuses, data.told, len(system.A))
     at_limits = zip(statuses, data.statistics.clipped.tolist(), data.record.sensors, strict=True)
     statuses = [evidence.unless_clipped(*each, what="a part of it in memory") for each in at_limits]
     whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
