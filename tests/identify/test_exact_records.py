@@ -86,6 +86,7 @@ def test_an_order_that_nobody_gave_is_not_blamed_where_there_is_hardly_noise(rng
     assert found.details["order"] <= 8
 
 
+@pytest.mark.draws(false_alarm=0.01)  # 2 of 400 were told as not white or not converged before the fit was
 def test_a_gain_is_no_model_without_feedthrough(rng):
     u = rng.standard_normal((1, 2000))
     for noise in (0.0, 0.1):
@@ -93,7 +94,7 @@ def test_a_gain_is_no_model_without_feedthrough(rng):
         strictly_proper = uq.identify.WeightedRational(order=4).identify(record)
         direct = uq.identify.WeightedRational(order=2, feedthrough=True).identify(record)
         print(strictly_proper.status, direct.status)
-        assert strictly_proper.status.word in {"poor fit", "not white"}
+        assert strictly_proper.status.word == "poor fit"
         assert direct.fit_percent[0] > 90.0
 
 
