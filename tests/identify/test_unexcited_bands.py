@@ -165,6 +165,20 @@ def test_nor_is_a_response_that_the_prior_alone_holds_up(tones, rng):
     assert found.status.word in {"unknown in part", "not white"}
 
 
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1e6, 1e-6)])
+@pytest.mark.parametrize("method", [uq.identify.RegularisedArx(), uq.identify.ImpulseResponse()], ids=lambda m: m.name)
+def test_two_inputs_of_three_tones_are_a_guess_in_any_units(method, units, rng):
+    """Of one input an ARX model of thirty lags was ok in all of fifteen such records, and knew 60 to 80 % of itself."""
+    t, f_hz = np.arange(2000), np.geomspace(3.0, 40.0, 6).reshape(2, 3)
+    u = np.sin(2 * np.pi * (f_hz[:, :, None] * t / 100.0 + rng.random((2, 3, 1)))).sum(axis=1)
+    plant = uq.StateSpace([[1.5, -0.8], [1.0, 0.0]], [[1.0, 0.3], [0.0, 0.7]], [[1.0, 0.5]], [[0.0, 0.0]], 100.0)
+    y = plant.simulate(u)
+    y += 0.1 * y.std() * rng.standard_normal(y.shape)
+    found = method.identify(uq.Record(np.array(units)[:, None] * u, y, rate_hz=100.0))
+    print(found.status)
+    assert found.status.word == "unknown in part"
+
+
 def test_neither_is_one_of_a_record_on_disk(rng, tmp_path):
     _, record = of_tones(3, 1, 1.0, rng)
     found = uq.identify.Subspace(order=9).identify(stored(tmp_path, record))

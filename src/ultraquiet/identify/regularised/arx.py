@@ -18,6 +18,7 @@ from ultraquiet.identify.regularised.posterior import (
     TEST_LAGS,
     RegularisedFit,
     ResponseResult,
+    unless_guessed,
     unsettled,
 )
 from ultraquiet.identify.result import SIGNIFICANCE, noiseless, shares_of, worst
@@ -26,6 +27,7 @@ from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status,
 from ultraquiet.values.handed_over.kinds import takes_values
 
 ARX_LAGS = 30
+POINTS = 512  # frequencies of a response, or four a lag
 
 
 @register("identify", "arx-regularised")
@@ -133,6 +135,11 @@ class RegularisedArx(RegularisedFit):
             chance.unless_silent(status, share, record.samples, f[2].freedom, float(c))
             for status, f, share, c in zip(statuses, fits, told, free, strict=True)
         ]
+        size = record.inputs.std(axis=1)
+        statuses = [
+            unless_guessed(status, *_power(m, f[1], size, self.delay))
+            for status, m, f in zip(statuses, models, fits, strict=True)
+        ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
             model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, provenance),
@@ -164,6 +171,26 @@ def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: fl
         return Status(StatusWord.NOT_WHITE, f"The residual {what} ({p_in_words(min(white, free))}): raise 'lags'.")
     told = f"white ({p_in_words(white)}) and free of the input ({p_in_words(free)})"
     return Status(StatusWord.OK, f"The residual is {told}.")
+
+
+def _power(model: PolynomialModel, covariance: FloatArray, size: FloatArray, delay: int) -> tuple[float, float]:
+    """Return the mean square of the responses G_j = B_j / A over frequency, and how far it varies with A and B.
+
+    Each in units of output per `size` of its input. To first order dG_j = (dB_j - G_j dA) / A, so that the deviation of
+    a coefficient k samples late turns by e^-jwk and is weighed by G_j or 1.
+    """
+    lags = len(model.a) - 1
+    points = max(POINTS, 4 * lags)
+    turns = np.exp(-1j * np.pi * np.outer((np.arange(points) + 0.5) / points, np.arange(lags + delay + 1)))
+    A = turns[:, : lags + 1] @ model.a
+    power = variance = 0.0
+    for j, b in enumerate(model.b):
+        G = size[j] * (turns[:, : b.size] @ b) / A
+        own = np.r_[:lags, (j + 1) * lags : (j + 2) * lags]
+        moves = np.hstack([-G[:, None] * turns[:, 1 : lags + 1], size[j] * turns[:, delay : delay + lags]]) / A[:, None]
+        power += float(np.mean(np.abs(G) ** 2))
+        variance += float(np.mean(np.sum((moves @ covariance[np.ix_(own, own)]) * moves.conj(), axis=1).real))
+    return power, variance
 
 
 def _simulated(model: PolynomialModel, record: Record, i: int) -> tuple[float, float]:

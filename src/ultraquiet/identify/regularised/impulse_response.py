@@ -18,6 +18,7 @@ from ultraquiet.identify.regularised.posterior import (
     TEST_LAGS,
     RegularisedFit,
     ResponseResult,
+    unless_guessed,
     unsettled,
 )
 from ultraquiet.identify.result import SIGNIFICANCE, worst
@@ -31,7 +32,6 @@ SAMPLES_PER_TAP = 3  # when none are asked for; a prior carries what least squar
 RESIDUAL_LAGS = 200  # of the error's own memory that enter the variance of its test
 RAN_OUT = 0.05  # of the response's norm in its last twentieth: it had not decayed
 LAST = 20
-GUESSED = 0.5  # deviation of a response over its size from which on it is a guess: 0.1 of a record with little signal
 
 
 @register("identify", "impulse")
@@ -137,7 +137,11 @@ class ImpulseResponse(RegularisedFit):
             )
             for i, (f, p) in enumerate(zip(fits, free, strict=True))
         ]
-        statuses = [_unless_guessed(status, f[0], f[1]) for status, f in zip(statuses, fits, strict=True)]
+        size = np.repeat(record.inputs.std(axis=1), g.shape[2])
+        statuses = [
+            unless_guessed(status, float(np.sum((size * f[0]) ** 2)), float(size**2 @ np.diag(f[1])))
+            for status, f in zip(statuses, fits, strict=True)
+        ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
             model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, provenance),
@@ -180,18 +184,6 @@ def _left(g: FloatArray) -> FloatArray:
     """Return per input which share of the response's norm its last twentieth holds."""
     last = max(1, g.shape[1] // LAST)
     return np.linalg.norm(g[:, -last:], axis=1) / np.maximum(np.linalg.norm(g, axis=1), np.finfo(float).tiny)
-
-
-def _unless_guessed(status: Status, g: FloatArray, covariance: FloatArray) -> Status:
-    """Return the verdict on all responses of one output together, no praise where their deviation is of their size."""
-    unknown = float(np.sqrt(np.trace(covariance)) / max(float(np.linalg.norm(g)), np.finfo(float).tiny))
-    if not status.ok or unknown <= GUESSED:
-        return status
-    return Status(
-        StatusWord.UNKNOWN_IN_PART,
-        f"The response is known to {unknown:.0%} of its size: the inputs excite a part of it, and the rest is "
-        f"the prior's; excite a band (noise, chirp, many tones).",
-    )
 
 
 def _verdict(converged: bool, p: float, left: float) -> Status:

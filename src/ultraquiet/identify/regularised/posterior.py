@@ -15,6 +15,7 @@ from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status, Stat
 KERNELS = ("tc", "dc", "ss")
 LEAST_LINES = 4  # parameters that an input must carry: a steady tone carries two, and the prior would invent the rest
 TEST_LAGS = 40
+GUESSED = 0.5  # deviation of a response over its size from which on it is a guess: 0.1 of a record with little signal
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,4 +84,22 @@ def unsettled() -> Status:
     """Return the verdict on a prior that was not found."""
     return Status(
         StatusWord.NOT_CONVERGED, "The search for the prior ended away from a maximum of the marginal likelihood."
+    )
+
+
+def unless_guessed(status: Status, size: float, variance: float) -> Status:
+    """Return the verdict on all responses of one output together, no praise where their deviation is of their size.
+
+    Args:
+        status: the verdict on what is left of the output.
+        size: squared norm of the responses, each in units of output per standard deviation of its input.
+        variance: what the posterior leaves of it, in the same units.
+    """
+    unknown = float(np.sqrt(max(variance, 0.0) / max(size, np.finfo(float).tiny)))
+    if not status.ok or unknown <= GUESSED:
+        return status
+    return Status(
+        StatusWord.UNKNOWN_IN_PART,
+        f"The response is known to {unknown:.0%} of its size: the inputs excite a part of it, and the rest is "
+        f"the prior's; excite a band (noise, chirp, many tones).",
     )
