@@ -99,6 +99,17 @@ def test_modal_damping_is_what_was_asked(seed):
         assert mode["after"] == pytest.approx(0.2)
 
 
+def test_every_mode_is_damped_by_its_own_measure_where_none_is_given(seed):
+    """A damping of 0.15 for all left one of nine plants as it was, for their modes have up to 0.1: 0.5 to 0.9 dB."""
+    plant = problems.damped_plant(seed)
+    result = Modal().design(plant)
+    print(f"{result.details['attenuation_rms_db']:.1f} dB, {result.details['modes']}")
+    assert result.status.ok, result.status
+    assert result.details["attenuation_rms_db"] > 2.5
+    for mode in result.details["modes"]:
+        assert mode["after"] == pytest.approx(max(0.15, 3 * mode["before"]))
+
+
 def test_modal_damps_the_bench():
     plant = uq.bench.Hexapod(unit="flight").linear_model()
     result = Modal(band_hz=(20.0, 150.0), zeta=0.2, sensor_noise=1.0).design(plant)
