@@ -9,7 +9,7 @@ from ultraquiet.design import Lqg
 from ultraquiet.limits import Limit, best_flat_attenuation, by_direction, distance
 from ultraquiet.limits.by_direction import tightened
 from ultraquiet.limits.certificate import disc_of_every_plant
-from ultraquiet.limits.programme import largest_sensitivity
+from ultraquiet.limits.programme import Demand, largest_sensitivity
 from ultraquiet.values import StateSpace, Status, StatusWord
 from ultraquiet.values.interconnect import append, feedback, series
 
@@ -105,6 +105,15 @@ def test_an_uncertainty_that_leaves_no_controller_is_named():
     print(limit.status)
     assert limit.status.word == "refused"
     assert "uncertainty" in limit.status.sentence
+
+
+def test_where_nothing_is_asked_nothing_is_broken_even_by_a_plant_that_may_be_unstable():
+    error = np.full(3, 0.1)
+    asked = Demand(
+        "attenuation", np.ones(3, complex), -np.ones(3, complex), np.array([1.0, 1.0, np.inf]), True, 1.0, error
+    )
+    q = np.array([0.5, 20.0, 20.0], complex)
+    assert asked.reached(q, 0.5) == pytest.approx([0.5 / (1 - 0.05) / 0.5, np.inf, 0.0])
 
 
 @pytest.mark.gate("shape0")

@@ -52,9 +52,10 @@ class Demand:
         return 1 if self.error is None else 2
 
     def reached(self, q: ComplexArray, level: float) -> FloatArray:
-        """Return |a + b q|, of the worst plant, over its limit."""
+        """Return |a + b q|, of the worst plant, over its limit; zero where nothing is asked, whatever it is there."""
         size = largest_sensitivity(self.a + self.b * q, self.error)
-        return size / (self.limit * (level if self.sought else 1.0))
+        limit = np.broadcast_to(self.limit * (level if self.sought else 1.0), size.shape)
+        return np.divide(size, limit, out=np.zeros(size.shape), where=np.isfinite(limit))
 
 
 def largest_sensitivity(S: ComplexArray, error: FloatArray | None) -> FloatArray:
@@ -69,9 +70,8 @@ def largest_sensitivity(S: ComplexArray, error: FloatArray | None) -> FloatArray
     """
     if error is None:
         return np.abs(S)
-    left = 1 - error * np.abs(1 - S)
-    with np.errstate(divide="ignore"):
-        return np.where(left > 0, np.abs(S) / np.maximum(left, 0.0), np.inf)
+    left = np.broadcast_to(1 - error * np.abs(1 - S), S.shape)
+    return np.divide(np.abs(S), left, out=np.full(S.shape, np.inf), where=left > 0)
 
 
 @dataclass(frozen=True, eq=False)
