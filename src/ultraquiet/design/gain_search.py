@@ -74,7 +74,7 @@ def from_plant(
     }
     law = even.law(found.controller)
     result = judged(plant, law, settings, found.gamma, found.achieved, found.residuals, details)
-    return result if best.quieter >= LITTLE_DB or not result.status.ok else _idle(result)
+    return result if best.quieter >= LITTLE_DB or not result.status.ok else _idle(result, settings.ask_for_more)
 
 
 class _Loop(NamedTuple):
@@ -152,10 +152,7 @@ class _Tried:
         return None if best is None else best[1]
 
 
-def _idle(result: DesignResult) -> DesignResult:
+def _idle(result: DesignResult, advice: str) -> DesignResult:
     """Return a loop that keeps its margin and makes nothing quiet, with a word that says so."""
-    said = (
-        "With that margin nothing gets quiet: give 'band_hz', or weights, for what is to be quiet. "
-        f"{result.status.sentence}"
-    )
+    said = f"With that margin nothing gets quiet: {advice}. {result.status.sentence}"
     return replace(result, status=Status(StatusWord.SHORT, said))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite, log10
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class StatedRobustness:
         disk_margin: what a design called `ok` keeps at the plant's input and at its output, all channels of that end at
             once (`analyse.disk_margin`); a stable loop with less is `fragile`. 0 asks for nothing but stability.
     """
+
+    ask_for_more: ClassVar[str] = "give 'band_hz', or weights, for what is to be quiet"
 
     disk_margin: float = DISK_MARGIN
 

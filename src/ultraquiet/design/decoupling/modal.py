@@ -1,7 +1,7 @@
 """Independent modal-space control: damping asked for each mode of the plant's own modal form."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -60,6 +60,8 @@ class Modal(StatedRobustness):
     Meirovitch and Baruh 1982, doi:10.2514/3.56117; by left vectors: Simon and Mitter 1968,
     doi:10.1016/S0019-9958(68)90834-8.
     """
+
+    ask_for_more: ClassVar[str] = "ask for more damping by 'zeta', or of other modes by 'band_hz'"
 
     band_hz: tuple[float, float] | None = None
     zeta: float | tuple[float, ...] | None = None
