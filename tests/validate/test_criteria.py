@@ -20,6 +20,9 @@ def test_criteria_are_their_formulas(rng):
     assert found.aicc - found.aic == pytest.approx(2 * p * (p + 1) / (n - p - 1))
     assert found.bic == pytest.approx(n * np.log(V) + p * np.log(n))
     assert found.mdl == pytest.approx(V * (1 + p * np.log(n) / n))
+    past = criteria(V, n, p, past=5)
+    assert np.array(past[:3]) == pytest.approx(np.array(criteria(V, n, p + 5)[:3]))
+    assert np.array(past[3:]) == pytest.approx(np.array(found[3:]))
     assert np.isinf(criteria(V, 10, 10).fpe)
     assert np.isinf(criteria(V, 10, 10).aicc)
 
@@ -47,7 +50,7 @@ def test_bic_and_mdl_find_order_five_of_box_jenkins(name, rng):
     assert all(order >= 5 for k in ("aic", "fpe", "aicc") for order in tally[k])
 
 
-@pytest.mark.draws(false_alarm=5e-2)  # AIC took order two of 2339 in 3816 records: 29 of 60 or fewer in 2.8 %
+@pytest.mark.draws(false_alarm=1e-3)  # AIC took order two of 303 in 360 records: 39 of 60 or fewer in 1 of 8000 runs
 def test_bic_and_mdl_find_order_two_of_arx(rng):
     def record():
         u, e = rng.standard_normal((2, 2000))
@@ -58,9 +61,9 @@ def test_bic_and_mdl_find_order_two_of_arx(rng):
     # One more order costs 2 ln n = 15 under BIC: and the four larger ones together err below 1 %.
     assert tally["bic"][2] >= 57
     assert tally["mdl"][2] >= 57
-    # AIC: an order brings two coefficients that count and one value of the past that is fitted too, P(chi-squared of
-    # 3 > 4) = 26 % for the next order alone.
-    assert tally["aic"][2] >= 30
+    # AIC: an order brings two coefficients and an initial condition, P(chi-squared of 3 > 6) = 11 % for the next order
+    # alone.
+    assert tally["aic"][2] >= 40
 
 
 def test_a_table_of_all_structures(rng):

@@ -51,6 +51,8 @@ class Result(Shown):
         details: numbers that belong to one method alone.
         spread: how far the response may lie off (`validate.response_band` draws it) of a model without coefficients;
             found when it is first asked. None where `covariance` says it, or nothing does.
+        past: of each output, `(ny,)` or one number, the initial conditions that were fitted beside the coefficients, a
+            constant among them; zero where the past is taken as zero or left out.
         no_band: "no band: ..." and why, where chance's share in the response is not known; else empty.
     """
 
@@ -67,6 +69,7 @@ class Result(Shown):
     details: Mapping[str, Any]
     spread: ResponseSpread | None = None
     no_band: str = ""
+    past: FloatArray | float = 0.0
 
     def _in_a_line(self) -> str:
         fit = " ".join(f"{each:.4g}" for each in np.ravel(self.fit_percent)[:6]) + " ..." * (self.fit_percent.size > 6)

@@ -38,7 +38,8 @@ class Fitted(Protocol):
 def information_criteria(result: Fitted, record: Record) -> Criteria:
     """Return FPE, AIC, AICc, BIC and MDL of a result on the record it was made from, one value an output.
 
-    V is the mean squared one-step error, n the samples, p the coefficients of the output's model; see
+    V is the mean squared one-step error, n the samples, p the coefficients of the output's model, beside which the
+    initial conditions count that were fitted to this record (`Result.past`); see
     `ultraquiet.linalg.information.criteria` for the equations. Every output of a state-space model shares its
     coefficients: n (nu + 2 ny) + ny nu of them (A in canonical form, B, K, C, D), a share of 1 / ny each.
 
@@ -68,7 +69,7 @@ def information_criteria(result: Fitted, record: Record) -> Criteria:
             f"information_criteria: the losses {loss.shape} do not belong to a record of {len(record.sensors)} "
             f"outputs; give a result of this record alone."
         )
-    return information.criteria(loss, record.samples, parameters(result.model))
+    return information.criteria(loss, record.samples, parameters(result.model), getattr(result, "past", 0.0))
 
 
 def parameters(model: PolynomialMatrix | StateSpace) -> FloatArray:

@@ -143,6 +143,7 @@ def _group_fit(
     spread = local @ root[problem.places[first].index]
     misses = [data.recorded - np.clip(simulated(data, model, how), data.low, data.high) for data in sets]
     samples = sum(data.recorded.size for data in sets)
+    past = sum(int(problem.parts[k].states.sum()) for k in members)
     power = sum(float(np.sum((data.recorded - data.recorded.mean()) ** 2)) for data in sets) / samples
     status, silent = judged(
         noiseless(model.noise_variance / max(power, np.finfo(float).tiny))
@@ -151,7 +152,7 @@ def _group_fit(
         model,
         lambda: chance.explained_together([(data.recorded, miss) for data, miss in zip(sets, misses, strict=True)]),
         samples,
-        problem.places[first].index.size + sum(int(problem.parts[k].states.sum()) for k in members),
+        problem.places[first].index.size + past,
     )
     return Fit(
         model,
@@ -165,6 +166,7 @@ def _group_fit(
         starts=tried,
         repaired=sum(data.clipped for data in sets) if how.repair else 0,
         silent=silent,
+        past=past,
     )
 
 

@@ -59,7 +59,8 @@ class Candidate:
 
     def criteria(self) -> information.Criteria:
         """Return FPE, AIC, AICc, BIC and MDL of every channel on the fitted data, `(ny, nu)` each."""
-        return information.criteria(self.loss, self.samples, self.method.structure().parameters(1))
+        past = np.array([[fit.past for fit in row] for row in self.fits])
+        return information.criteria(self.loss, self.samples, self.method.structure().parameters(1), past)
 
 
 @dataclass(frozen=True, eq=False)

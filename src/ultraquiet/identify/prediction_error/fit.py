@@ -56,6 +56,7 @@ class Fit:
     starts: int
     repaired: int
     silent: bool = False  # its inputs explain no more of the output than chance would
+    past: int = 0  # initial conditions fitted beside the coefficients, a constant among them
 
 
 def fit_focused(data: ChannelData, structure: Structure, search: Search, rate_hz: float, focus: str) -> Fit:
@@ -148,6 +149,7 @@ def finished(
         starts=tried,
         repaired=data.clipped if search.repair else 0,
         silent=silent,
+        past=int(Parameterisation.alike(structure, nu).states(search.estimate, search.offset).sum()),
     )
 
 

@@ -30,6 +30,7 @@ def gather(model: PolynomialMatrix, fits: list[Fit], made: Provenance) -> Result
         statuses=tuple(f.status for f in fits),
         provenance=made,
         details={"starts": tuple(f.starts for f in fits), "repaired": tuple(f.repaired for f in fits)},
+        past=np.array([float(f.past) for f in fits]),
     )
 
 

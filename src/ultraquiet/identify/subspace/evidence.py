@@ -111,6 +111,7 @@ def judged(
         details={**details, "spare_modes": spare},
         spread=spread,
         no_band=no_band,
+        past=len(system.A) / ny + 1,
     )
 
 

@@ -105,6 +105,7 @@ def _fit_output(
         starts=tried,
         repaired=0,
         silent=silent,
+        past=int(parameterisation.states(*fitted).sum()),
     )
     return fit, data.passes
 

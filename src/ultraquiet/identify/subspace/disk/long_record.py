@@ -289,6 +289,7 @@ def _judged(
         statuses=tuple(statuses),
         provenance=provenance,
         details={**details, "spare_modes": spare},
+        past=len(system.A) / ny + 1,
         no_band="no band: the record was read in blocks; identify a part of it in memory with refine=True for one.",
     )
 
