@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ordinary_plants import closed_loop_radius, ordinary, with_units
 
-from ultraquiet.analyse import disk_ranges, hinf_norm
+from ultraquiet.analyse import disk_margin, disk_ranges, hinf_norm
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design import BandAttenuation, FixedStructure, Lqg, MixedSensitivity, PeakBounded
 from ultraquiet.values import StateSpace
@@ -173,8 +173,13 @@ def test_numbers_that_are_given_are_what_is_designed_for(seed):
 
 
 def test_a_default_asked_for_more_margin_takes_less_gain(seed):
-    plant = ordinary(np.random.default_rng(seed), (2, 2), modes=3)
-    little, much = (Lqg(disk_margin=margin).design(plant) for margin in (0.1, 0.9))
+    rng = np.random.default_rng(seed)
+    while True:  # some plants keep as much at the first gain
+        plant = ordinary(rng, (2, 2), modes=3)
+        little = Lqg(disk_margin=0.1).design(plant)
+        if min(disk_margin(plant, little.controller, side) for side in SIDES) < 0.9:
+            break
+    much = Lqg(disk_margin=0.9).design(plant)
     assert much.status.ok, much.status
     assert much.details["gain"] < little.details["gain"]
     assert much.details["attenuation_rms_db"] < little.details["attenuation_rms_db"]
