@@ -1,5 +1,7 @@
 """What is refused, in which words, and that nothing is left behind."""
 
+import sys
+
 import numpy as np
 import pytest
 from deploy_laws import RANGES, RATE_HZ
@@ -143,8 +145,9 @@ def test_without_a_compiler_a_sentence_and_the_twin(tmp_path, monkeypatch):
 @pytest.mark.parametrize("signal", ["INT", "TERM", "HUP"])
 def test_a_compiler_that_is_ended_with_everything_else_says_nothing_of_the_code(signal, tmp_path, monkeypatch):
     """Ctrl-C reaches whatever the terminal runs: a study kept "not compiled" of a law as it ended."""
-    compiler = tmp_path / "cc"
-    compiler.write_text(f"#!/bin/sh\nkill -{signal} $$\n")
+    compiler, number = tmp_path / "cc", f"signal.SIG{signal}"
+    ended = f"signal.signal({number}, signal.SIG_DFL)\nos.kill(os.getpid(), {number})"  # under nohup HUP is ignored
+    compiler.write_text(f"#!{sys.executable}\nimport os, signal\n{ended}\n")
     compiler.chmod(0o755)
     made = generate(gain(0.5), tmp_path / "code")
     monkeypatch.setenv("CC", str(compiler))

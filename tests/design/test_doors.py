@@ -60,7 +60,7 @@ AGAINST_TONES = ("BandAttenuation", "LoopShaping", "MixedSensitivity", "PeakBoun
 MISTAKES = [
     *(("Lqg", name, value) for name in ("output_weight", "input_weight") for value in NO_SYSTEMS),
     *(("Lqg", "control_hz", value) for value in (*NO_NUMBERS, 0, -1)),
-    *(("Modal", "zeta", value) for value in (None, "abc", float("nan"), 3 + 4j, np.eye(2))),
+    *(("Modal", "zeta", value) for value in ("abc", (None,), float("nan"), 3 + 4j, np.eye(2))),
     *(("BandAttenuation", "peak_db", value) for value in NO_NUMBERS),
     *((method, "tones_hz", value) for method in AGAINST_TONES for value in NO_TONES),
     ("Lqg", "estimator", np.eye(2)),
