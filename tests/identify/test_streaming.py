@@ -113,6 +113,7 @@ def test_the_model_is_that_of_the_record_in_memory(name, rng, tmp_path):
     assert gap < 1e-3
     assert np.sqrt(np.diag(disk.covariance[0])) == pytest.approx(np.sqrt(np.diag(memory.covariance[0])), rel=0.02)
     assert disk.status.word == memory.status.word
+    assert disk.past == memory.past > 0
     assert disk.whiteness_p == pytest.approx(memory.whiteness_p, abs=0.02)
     assert disk.correlation_p == pytest.approx(memory.correlation_p, abs=0.02)
 

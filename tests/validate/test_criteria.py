@@ -66,6 +66,27 @@ def test_bic_and_mdl_find_order_two_of_arx(rng):
     assert tally["aic"][2] >= 40
 
 
+def test_initial_conditions_count_where_they_are_fitted(rng):
+    """Two of a second-order ARX and of each path of an output error, n of a state space, and a constant an output."""
+    u = rng.standard_normal((2, 1500))
+    y = np.array([lfilter([0, 1.0, 0.5], [1, -1.6, 0.8], x) for x in u]) + 0.1 * rng.standard_normal((2, 1500))
+    record = uq.Record(u, y, 100.0)
+    past = {
+        "arx": uq.identify.Arx(order=2).identify(record).past,
+        "output error": uq.identify.OutputError(order=2).identify(record).past,
+        "from rest": uq.identify.OutputError(order=2, initial="rest", offset=False).identify(record).past,
+        "state space": uq.identify.Subspace(order=4).identify(record).past,
+        "impulse": uq.identify.ImpulseResponse().identify(record).past,
+    }
+    assert {name: np.broadcast_to(each, 2).tolist() for name, each in past.items()} == {
+        "arx": [3, 3],
+        "output error": [5, 5],
+        "from rest": [0, 0],
+        "state space": [3, 3],
+        "impulse": [0, 0],
+    }
+
+
 def test_a_table_of_all_structures(rng):
     drawn = draw("suite_rate", rng)
     methods = [uq.identify.Arx(order=5), uq.identify.OutputError(order=5), uq.identify.BoxJenkins(order=5)]

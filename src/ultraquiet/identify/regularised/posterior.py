@@ -100,6 +100,6 @@ def unless_guessed(status: Status, size: float, variance: float) -> Status:
         return status
     return Status(
         StatusWord.UNKNOWN_IN_PART,
-        f"The response is known to {unknown:.0%} of its size: the inputs excite a part of it, and the rest is "
-        f"the prior's; excite a band (noise, chirp, many tones).",
+        f"The response is known to within {unknown:.0%} of its size alone: the inputs excite a part of it, and the "
+        f"rest is the prior's; excite a band (noise, chirp, many tones).",
     )
