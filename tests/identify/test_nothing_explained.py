@@ -5,6 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 import ultraquiet as uq
+from ultraquiet.identify import chance
+from ultraquiet.linalg.prediction import MEMORY
 
 METHODS = (uq.identify.Arx(order=2), uq.identify.OutputError(order=2), uq.identify.BoxJenkins(order=2))
 METHODS += (uq.identify.Armax(order=2),)
@@ -190,3 +192,17 @@ def test_a_faint_answer_is_still_one_however_the_record_comes(way, rng, tmp_path
     found = method.identify([record, again]) if way == "several" else WAYS[way](method, record, tmp_path / "f.h5", rng)
     print(found.fit_percent, found.status)
     assert found.status.ok
+
+
+@pytest.mark.parametrize("samples", [60, 400, 4000])
+def test_what_is_explained_is_what_plain_regressions_on_known_pasts_leave(samples, rng):
+    y, error = lfilter([1.0], [1.0, -1.6, 0.8], rng.standard_normal((2, samples))) + 3.0
+    lags = min(MEMORY, samples // 10)
+
+    def left(x):
+        x = x - x.mean()
+        pasts = np.stack([x[lags - k : x.size - k] for k in range(1, lags + 1)], axis=1)
+        return np.sum((x[lags:] - pasts @ np.linalg.lstsq(pasts, x[lags:])[0]) ** 2)
+
+    for first, second in ((y + error, error), (y, y + error)):
+        assert chance.explained(first, second) == pytest.approx(max(0.0, 1 - left(second) / left(first)), abs=1e-6)

@@ -41,24 +41,26 @@ def explained_together(sets: Sequence[tuple[FloatArray, FloatArray]]) -> float:
 
 def explained_of(sums: Lagged, output: int, error: int) -> float:
     """Return the same from the products of an output and an error among other signals."""
-    before, after = (_innovation(sums, channel) for channel in (output, error))
+    products = sums.products(centred=True)
+    before, after = (_innovation(sums, products, channel) for channel in (output, error))
     return max(0.0, 1.0 - after / max(before, TINY))
 
 
-def _innovation(sums: Lagged, channel: int) -> float:
+def _innovation(sums: Lagged, products: FloatArray, channel: int) -> float:
     """Return the mean square that an autoregression leaves of a signal, by least squares over known pasts alone.
 
     With zeros for what lies beyond the ends, a signal that rings as long as its record would seem to be less known.
     """
     lags = min(prediction.MEMORY, sums.lags)
-    r = sums.products(centred=True)[:, channel, channel]
+    r = products[:, channel, channel]
     head, tail = sums.head[channel, :lags] - sums.mean[channel], sums.tail[channel, -lags:] - sums.mean[channel]
     G = np.empty((lags + 1, lags + 1))
-    for j in range(lags + 1):
-        for i in range(j + 1):
-            early = float(head[: lags - j] @ head[j - i : lags - i])
-            late = float(tail[lags - j : lags - (j - i)] @ tail[lags - i :]) if i else 0.0
-            G[i, j] = G[j, i] = r[j - i] - early - late
+    for k in range(lags + 1):
+        # of k samples apart: what lies before the first lags - k ... 0 and after the last 0 ... lags - k known pasts
+        early = np.append(0.0, np.cumsum(head[: lags - k] * head[k:]))[::-1]
+        late = np.append(0.0, np.cumsum((tail[: lags - k] * tail[k:])[::-1]))
+        i = np.arange(lags + 1 - k)
+        G[i, i + k] = G[i + k, i] = r[k] - early - late
     G[np.diag_indices_from(G)] += prediction.RIDGE * np.trace(G) / len(G)
     known = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=None)[0]
     return float(G[0, 0] - known @ G[1:, 0]) / max(sums.samples - lags, 1)
