@@ -39,8 +39,14 @@ def test_growth_that_is_slow_beside_the_dead_zone_is_seen_in_any_unit():
     assert words == ["unstable"] * 3
 
 
+# `ok` is promised from a third of the ranges: of these loops, thrown to half, 1 of 102 that stay at their limits had
+# it, and none of 75 that a third throws there.
+TWO_SLOW = pytest.param(0.003, 2, marks=pytest.mark.draws(false_alarm=0.02))
+FORTY_SLOW = pytest.param(0.003, 40, marks=pytest.mark.draws(false_alarm=0.25))
+
+
 @pytest.mark.gate("0.003-2", "-0.003-2")
-@pytest.mark.parametrize(("apart", "loops"), [(0.003, 2), (-0.003, 2), (0.01, 40), (0.003, 40), (-0.003, 40)])
+@pytest.mark.parametrize(("apart", "loops"), [TWO_SLOW, (-0.003, 2), (0.01, 40), FORTY_SLOW, (-0.003, 40)])
 def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart, loops, rng):
     false_ok = false_unstable = at_limits = unknown = drawn = 0
     while drawn < loops or (at_limits == 0 and apart > 0):  # of two loops there may be none that is thrown so far
@@ -63,16 +69,13 @@ def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart
 
 
 def what_tones_leave(loop, rng):
-    """Return the largest command at the end of a minute, after the loudest tones within a third of the ranges.
-
-    That is what `ok` promises. Of tones that reach half, 2 of 105 loops that these throw to their limits are called ok.
-    """
-    allowed = np.array([c.high / 3 for c in (*loop.bench.sensors, *loop.bench.actuators)])
+    """Return the largest command at the end of a minute, after the loudest tones within half of the ranges."""
+    allowed = np.array([c.high / 2 for c in (*loop.bench.sensors, *loop.bench.actuators)])
     left = 0.0
     for f_hz in (loop.f_hz, *loop.bench.modes_hz):
         d = np.zeros((len(loop.bench.actuators), 60_000))
         turned = 2 * np.pi * f_hz / RATE_HZ * np.arange(2000) + rng.uniform(0, 2 * np.pi, (len(d), 1))
-        d[:, :2000] = loop.bench.actuators[0].high / 3 * np.sin(turned)
+        d[:, :2000] = loop.bench.actuators[0].high / 2 * np.sin(turned)
         over = 2.0
         while over > 1.0:
             run = disturb(loop.bench, d, loop.law)

@@ -42,17 +42,17 @@ def explained_together(sets: Sequence[tuple[FloatArray, FloatArray]]) -> float:
 def explained_of(sums: Lagged, output: int, error: int) -> float:
     """Return the same from the products of an output and an error among other signals."""
     products = sums.products(centred=True)
-    before, after = (_innovation(sums, products, channel) for channel in (output, error))
+    before, after = (_innovation(sums, products[:, channel, channel], channel) for channel in (output, error))
     return max(0.0, 1.0 - after / max(before, TINY))
 
 
-def _innovation(sums: Lagged, products: FloatArray, channel: int) -> float:
+def _innovation(sums: Lagged, r: FloatArray, channel: int) -> float:
     """Return the mean square that an autoregression leaves of a signal, by least squares over known pasts alone.
 
-    With zeros for what lies beyond the ends, a signal that rings as long as its record would seem to be less known.
+    `r` are the centred products of the signal with its own past, `(lags + 1,)`. With zeros for what lies beyond
+    the ends, a signal that rings as long as its record would seem to be less known.
     """
     lags = min(prediction.MEMORY, sums.lags)
-    r = products[:, channel, channel]
     head, tail = sums.head[channel, :lags] - sums.mean[channel], sums.tail[channel, -lags:] - sums.mean[channel]
     G = np.empty((lags + 1, lags + 1))
     for k in range(lags + 1):

@@ -77,9 +77,10 @@ class Modal(StatedRobustness):
             rising_band("Modal", self.band_hz)
         if isinstance(self.zeta, list):
             object.__setattr__(self, "zeta", tuple(self.zeta))
-        zeta = np.array(LEAST_ZETA) if self.zeta is None else numbers("Modal", "zeta", self.zeta)
-        if np.any(zeta <= 0) or np.any(zeta >= 1):
-            raise InputError(f"Modal: 'zeta' must lie between 0 and 1, got {self.zeta}.")
+        if self.zeta is not None:
+            zeta = numbers("Modal", "zeta", self.zeta)
+            if np.any(zeta <= 0) or np.any(zeta >= 1):
+                raise InputError(f"Modal: 'zeta' must lie between 0 and 1, got {self.zeta}.")
 
     @takes_systems
     @single_threaded
