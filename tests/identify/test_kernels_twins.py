@@ -1,14 +1,18 @@
 """The compiled kernels beside plain NumPy, written from the formulas."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from ultraquiet.identify.prediction_error import in_memory
+from ultraquiet.identify.prediction_error.damping_policy import STUCK
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.kernels import filters, normal_equations
 from ultraquiet.identify.prediction_error.kernels import table as table_kernels
+from ultraquiet.identify.prediction_error.levenberg_marquardt import minimise
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import Structure, free_rows
@@ -108,6 +112,58 @@ def test_gradient_is_the_slope_of_the_residual(case, rng):
     slope = (losses[0] - losses[1]) / (2 * h)
     print(f"\nslope of e'e by filters {2 * S[:p, p] @ step:.8g}, by differences {slope:.8g}")
     assert 2 * S[:p, p] @ step == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.sum(e**2))
+
+
+@dataclass(frozen=True, eq=False)
+class PlainPoint:
+    """A point of `minimise` whose residual and gradient are formed one call at a time."""
+
+    data: InMemory
+    table: np.ndarray
+    criterion: float
+
+    @property
+    def unit(self):
+        return self.criterion
+
+    def normal(self):
+        return self.data.normal(self.table)
+
+    def moved(self, step):
+        table = in_memory.moved(self.data.signals, self.table, step)
+        return None if table is None else PlainPoint(self.data, table, self.data.loss(table))
+
+    def gained(self, other):
+        return self.data.samples * (self.criterion - other.criterion)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 60])
+@pytest.mark.parametrize("size", [1.0, 1e6])
+def test_a_search_is_the_plain_one(case, steps, size, rng):
+    """To the last bit, of an output that the model explains in part, also where a step no longer gains."""
+    structure, u, y, table, states = case
+    start, tolerance = table_of(structure, rng), 0.0 if size > 1 else 1e-3
+    for j in range(INPUTS):
+        b = np.concatenate([np.zeros(structure.delay), table[3 + 2 * j, : structure.b]])
+        y = y + lfilter(b, np.convolve(table[0, : structure.a + 1], table[4 + 2 * j, : structure.f + 1]), 10 * u[j])
+    y = size * y
+    held, plain = (InMemory(u, y, signals(structure, states)) for _ in range(2))
+    begun = start.copy()
+    found = held.search(start, steps, tolerance)
+    twin = minimise(PlainPoint(plain, start, plain.loss(start)), steps, tolerance)
+    print(f"\nloss {plain.loss(start):.4g} -> {found.loss:.4g} in {found.iterations} steps, state {found.state}")
+    assert (found.iterations, found.state, found.loss) == (twin.iterations, twin.state, twin.point.criterion)
+    assert np.array_equal(found.table, twin.point.table)
+    assert np.array_equal(found.normal, twin.normal)
+    assert np.array_equal(held.residual(found.table), plain.residual(found.table))
+    assert np.array_equal(start, begun)
+
+
+def test_a_search_of_no_number_ends_where_it_began(case):
+    structure, u, y, table, states = case
+    found = InMemory(u, np.full_like(y, np.nan), signals(structure, states)).search(table, 60, 1e-3)
+    assert (found.state, found.iterations) == (STUCK, 0)
+    assert np.array_equal(found.table, table)
 
 
 HEAD = 40

@@ -62,16 +62,31 @@ class Lagged:
 
     def _means(self) -> FloatArray:
         """Return what the means add: sum_t (m_a x_b(t + k) + x_a(t) m_b - m_a m_b)."""
-        mean = self.mean
-        out = np.empty((self.lags + 1, mean.size, mean.size))
-        for k in range(self.lags + 1):
-            later = self._total - self.head[:, :k].sum(axis=1)
-            sooner = self._total - (self.tail[:, -k:].sum(axis=1) if k else 0.0)
-            out[k] = np.outer(mean, later) + np.outer(sooner, mean) - (self.samples - k) * np.outer(mean, mean)
-        return out
+        mean, lags = self.mean, np.arange(self.lags + 1)
+        later = (self._total[:, None] - _sums_so_far(self.head)).T
+        sooner = (self._total[:, None] - _sums_so_far(self.tail[:, ::-1])).T
+        both = (self.samples - lags)[:, None, None] * np.outer(mean, mean)
+        return mean[:, None] * later[:, None, :] + sooner[:, :, None] * mean - both
 
     def _cross(self, x: FloatArray, cut: int) -> np.ndarray:
         """Return the cross spectra of the first `cut` samples with all of them."""
         first = np.fft.rfft(x[:, :cut], self._size)
         every = np.fft.rfft(x, self._size) if cut < x.shape[1] else first
         return first.conj().T[:, :, None] * every.T[:, None, :]
+
+
+def products_so_far(x: FloatArray) -> FloatArray:
+    """Return the sums of x_j x_(j + k) over j < m, `(lag k, m)`, both from 0 to the size of x, beyond which it is zero.
+
+    >>> products_so_far(np.array([1.0, 2.0, 3.0])).tolist()
+    [[0.0, 1.0, 5.0, 14.0], [0.0, 2.0, 8.0, 8.0], [0.0, 3.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0]]
+    """
+    later = np.lib.stride_tricks.sliding_window_view(np.concatenate([x, np.zeros(x.size + 1)]), max(x.size, 1))
+    return _sums_so_far(later[: x.size + 1, : x.size] * x)
+
+
+def _sums_so_far(rows: FloatArray) -> FloatArray:
+    """Return the sums of the first 0, 1, 2, ... of each row."""
+    out = np.zeros((rows.shape[0], rows.shape[1] + 1))
+    np.cumsum(rows, axis=1, out=out[:, 1:])
+    return out

@@ -58,6 +58,28 @@ def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: in
     )
 
 
+class InputTests:
+    """Tests that white errors hold nothing of inputs `(nu, n)`: `cross_correlation`, each input's part found once."""
+
+    def __init__(self, inputs: FloatArray, lags: int) -> None:
+        self.inputs, self.lags = inputs - inputs.mean(axis=1, keepdims=True), lags
+        self._n = inputs.shape[1]
+        index = np.abs(np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :])
+        self._excited = [_excited(_lagged(u, u, lags)[index] / self._n) for u in self.inputs]
+
+    def p_value(self, e: FloatArray) -> float:
+        """Return the p-value that e is free of the inputs, that of the least over them."""
+        e = e - e.mean()
+        power = float(e @ e) / self._n
+        if power == 0.0:
+            return 1.0
+        tests = zip(self.inputs, self._excited, strict=True)
+        return sidak(
+            _over_excited(_lagged(e, u, self.lags) / self._n, power * values, vectors, self._n).p_value
+            for u, (values, vectors) in tests
+        )
+
+
 def free_of_inputs(e: FloatArray, inputs: FloatArray, lags: int, residual_lags: int = 0, span: int = 0) -> float:
     """Return the p-value that e holds nothing of any input within `lags` samples, nor within `span` of them.
 
@@ -89,14 +111,17 @@ def noise_modes(c: FloatArray, d: FloatArray) -> ComplexArray:
     array([0.9+0.4243j])
     """
     n = max(c.size, d.size)
-    poles = np.roots(np.pad(d, (0, n - d.size))).astype(np.complex128)
-    poles = np.concatenate([poles, np.zeros(n - 1 - poles.size)])
+    poles = np.concatenate([np.roots(d), np.zeros(n - d.size)]).astype(np.complex128)
+    c = np.concatenate([c, np.zeros(n - c.size)])
     found: list[tuple[float, complex]] = []
     for k in np.flatnonzero((poles.imag > 0) & (np.abs(poles) < 1.0)):
         p = poles[k]
-        residue = np.polyval(np.pad(c, (0, n - c.size)), p) / np.prod(p - np.delete(poles, k))
-        share = 2 * abs(residue) ** 2 / (1.0 - abs(p) ** 2)
-        if share > RINGING_SHARE and -np.log(abs(p)) < RINGING_DAMPING * abs(np.log(p)):
+        if -np.log(abs(p)) >= RINGING_DAMPING * abs(np.log(p)):
+            continue
+        others = p - poles
+        others[k] = 1.0
+        share = 2 * abs(np.polyval(c, p) / np.prod(others)) ** 2 / (1.0 - abs(p) ** 2)
+        if share > RINGING_SHARE:
             found.append((float(share), complex(p)))
     return np.array([p for _, p in sorted(found, key=lambda each: -each[0])], dtype=np.complex128)
 
@@ -131,10 +156,20 @@ def cross_correlation_of(
         P += color[k] * (covariance[np.abs(shift - k)] + covariance[np.abs(shift + k)])
     if moved is not None:
         P = P + n * moved @ moved.T
+    return _over_excited(r, *_excited(P), n)
+
+
+def _excited(P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the variances that carry evidence, and their directions, of a covariance."""
     values, vectors = np.linalg.eigh(P)
     strong = values > EXCITED_SHARE * values[-1]
-    projected = vectors[:, strong].T @ r
-    return chi_squared(float(n * np.sum(projected**2 / values[strong])), max(1, int(strong.sum())))
+    return values[strong], vectors[:, strong]
+
+
+def _over_excited(r: FloatArray, values: FloatArray, vectors: FloatArray, n: int) -> Evidence:
+    """Return the test that r / sqrt(variance) of n samples is noise in the directions that carry evidence."""
+    projected = vectors.T @ r
+    return chi_squared(float(n * np.sum(projected**2 / values)), max(1, values.size))
 
 
 def _lagged(x: FloatArray, y: FloatArray, lags: int) -> FloatArray:

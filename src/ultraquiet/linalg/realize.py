@@ -73,14 +73,27 @@ def roots(p: FloatArray) -> ComplexArray:
     """
     roots = np.roots(p).astype(np.complex128)
     fine, high = roots.astype(np.clongdouble), p.astype(np.longdouble)
+    value, slope = _value_and_slope(high, fine)
     for _ in range(POLISHING):
-        value, slope = np.polyval(high, fine), np.polyval(np.polyder(high), fine)
         step = np.where(slope != 0, value / np.where(slope != 0, slope, 1), 0)
         moved = fine - step
-        better = (np.abs(np.polyval(high, moved)) < np.abs(value)) & (np.abs(step) < CLOSE * (np.abs(fine) + CLOSE))
+        there, slope_there = _value_and_slope(high, moved)
+        better = (np.abs(there) < np.abs(value)) & (np.abs(step) < CLOSE * (np.abs(fine) + CLOSE))
+        if not better.any():
+            break
         fine = np.where(better, moved, fine)
+        value, slope = np.where(better, there, value), np.where(better, slope_there, slope)
     out = fine.astype(np.complex128)
     return np.where(roots.imag == 0, out.real, out)
+
+
+def _value_and_slope(p: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a polynomial and its derivative at z, by one Horner recursion."""
+    value, slope = np.full_like(z, p[0]), np.zeros_like(z)
+    for coefficient in p[1:]:
+        slope = slope * z + value
+        value = value * z + coefficient
+    return value, slope
 
 
 def _groups(roots: ComplexArray) -> list[ComplexArray]:

@@ -12,9 +12,9 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet.identify import chance
 from ultraquiet.identify.joint.initial_models import starts
 from ultraquiet.identify.joint.search import JointMinimum, Part, Problem, covariance_root, posed, search
+from ultraquiet.identify.prediction_error.damping_policy import CONVERGED
 from ultraquiet.identify.prediction_error.fit import REPAIRS, SETTLED, Fit, judged, simulated, verdict
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
-from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED
 from ultraquiet.identify.prediction_error.model_table import modelled
 from ultraquiet.identify.prediction_error.parameterisation import delta
 from ultraquiet.identify.prediction_error.race import PROMISING, TEST_LAGS, TOLERANCE, TRIAL_STEPS, Search

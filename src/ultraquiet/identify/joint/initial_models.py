@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.joint.search import JointMinimum, Part, posed, search
+from ultraquiet.identify.prediction_error.damping_policy import LEAST_DAMPING
 from ultraquiet.identify.prediction_error.initial_models import NOISE_RADIUS, RADIUS, noise_start
-from ultraquiet.identify.prediction_error.levenberg_marquardt import LEAST_DAMPING
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.race import Search
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows

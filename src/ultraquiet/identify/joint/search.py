@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.prediction_error.damping_policy import FIRST_DAMPING
 from ultraquiet.identify.prediction_error.in_memory import InMemory, moved
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
-from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, minimise
+from ultraquiet.identify.prediction_error.levenberg_marquardt import minimise
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray

@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify import chance
+from ultraquiet.identify.prediction_error.damping_policy import CONVERGED, STUCK
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, noise_start, start_table
-from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, STUCK
 from ultraquiet.identify.prediction_error.model_table import modelled
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.race import (
@@ -120,7 +120,7 @@ def finished(
     data: ChannelData, structure: Structure, search: Search, model: PolynomialModel, best: Found, tried: int
 ) -> Fit:
     """Return a model with its evidence: residual tests, fit, covariance."""
-    evidence = residual_tests(best, data.u, structure)
+    evidence = residual_tests(best, data, structure)
     output = np.clip(simulated(data, model, search), data.low, data.high)
     fit_percent = prediction.fit_percent(data.recorded, output)
     nu = data.u.shape[0]

@@ -1,13 +1,13 @@
-"""Normal equations of a record in memory: past and constant are fitted before the gradient is formed, exactly."""
+"""Searches of a record in memory: past and constant are fitted before the gradient is formed, exactly."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, Ended, minimise
+from ultraquiet.identify.prediction_error.damping_policy import FIRST_DAMPING
 from ultraquiet.identify.prediction_error.signals import FilteredSignals
-from ultraquiet.identify.prediction_error.structure import END, GRADIENT, RESIDUAL
+from ultraquiet.identify.prediction_error.structure import GRADIENT, RESIDUAL
 
 
 class InMemory:
@@ -34,13 +34,8 @@ class InMemory:
 
     def loss(self, table: FloatArray) -> float:
         """Return the mean square of the residual of a table, past and constant fitted."""
-        if table is self._table:
-            return self._loss
-        self._table = None
-        self._coefficients = self.signals.with_table(table)
-        self._known = np.zeros((self.signals.unknown_past,) * 2)
-        total, _ = self._evaluated(RESIDUAL, GRADIENT)
-        self._table, self._loss = table, total / self.samples
+        if table is not self._table:
+            self._searched(RESIDUAL, table, -1)
         return self._loss
 
     def residual(self, table: FloatArray) -> FloatArray:
@@ -51,24 +46,47 @@ class InMemory:
     def normal(self, table: FloatArray) -> FloatArray:
         """Return [J e]'[J e] of a table in the delta basis, past and constant eliminated."""
         self.loss(table)
-        return self._evaluated(GRADIENT, END)[1]
+        return self._searched(GRADIENT, table, 0).normal
 
-    def _evaluated(self, first: int, last: int) -> tuple[float, FloatArray]:
-        from ultraquiet.identify.prediction_error.kernels.point import evaluated
+    def search(
+        self, start: FloatArray, steps: int, tolerance: float, damping: float = FIRST_DAMPING
+    ) -> "InMemoryMinimum":
+        """Search from a table until no step promises to lower the loss or `steps` are used up.
+
+        `levenberg_marquardt.minimise` of this record's loss, compiled.
+        """
+        return self._searched(RESIDUAL, start, steps, tolerance, damping)
+
+    def _searched(
+        self, first: int, table: FloatArray, most: int, tolerance: float = 0.0, damping: float = FIRST_DAMPING
+    ) -> "InMemoryMinimum":
+        """Search from a table; of fewer steps than none, have its loss alone."""
+        from ultraquiet.identify.prediction_error.kernels.point import searched
 
         s = self.signals
-        return evaluated(
-            (first, last),
+        if first == RESIDUAL:
+            self._coefficients, self._known = s.coefficients.copy(), np.zeros((s.unknown_past,) * 2)
+        reached = table.copy()
+        loss, normal, iterations, state, stage = searched(
+            first,
             (s.model, s.past, s.gradient),
             (s.nuisance, s.nuisance[:0], s.columns),
-            s.states,
+            (s.states, s.moves),
+            s.degree,
             self._coefficients,
             self._known,
             self._workspace(),
             s.e,
-            s.head,
-            s.head + self.samples,
+            (s.head, s.head + self.samples),
+            reached,
+            self._loss,
+            most,
+            tolerance,
+            damping,
         )
+        last = reached if iterations else table
+        self._table, self._loss = last if stage == GRADIENT else None, loss
+        return InMemoryMinimum(last, loss, normal, iterations, state)
 
     def _workspace(self) -> FloatArray:
         if self._work is None:
@@ -91,39 +109,11 @@ def moved(signals: FilteredSignals, table: FloatArray, step: FloatArray) -> Floa
 
 
 @dataclass(frozen=True, eq=False)
-class InMemoryPoint:
-    """A table and its loss, the mean square of the residual."""
+class InMemoryMinimum:
+    """Where a search ended: see `levenberg_marquardt.Ended`. The loss is the mean square of the residual."""
 
-    data: InMemory
     table: FloatArray
-    criterion: float
-
-    @classmethod
-    def of(cls, data: InMemory, table: FloatArray) -> "InMemoryPoint":
-        """Return the point of a table."""
-        return cls(data, table, data.loss(table))
-
-    @property
-    def unit(self) -> float:
-        """The innovation's variance."""
-        return self.criterion
-
-    def normal(self) -> FloatArray:
-        """Return [J e]'[J e]."""
-        return self.data.normal(self.table)
-
-    def moved(self, step: FloatArray) -> "InMemoryPoint | None":
-        """Return the point a step leads to."""
-        table = moved(self.data.signals, self.table, step)
-        return None if table is None else InMemoryPoint.of(self.data, table)
-
-    def gained(self, other: "InMemoryPoint") -> float:
-        """Return how much smaller the sum of squares is there."""
-        return self.data.samples * (self.criterion - other.criterion)
-
-
-def search(
-    data: InMemory, start: FloatArray, steps: int, tolerance: float, damping: float = FIRST_DAMPING
-) -> "Ended[InMemoryPoint]":
-    """Minimise the mean square of the residual from a table."""
-    return minimise(InMemoryPoint.of(data, start.copy()), steps, tolerance, damping)
+    loss: float
+    normal: FloatArray
+    iterations: int
+    state: int

@@ -11,13 +11,14 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify.prediction_error import in_memory
+from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.model_table import table_of
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
 from ultraquiet.linalg import portmanteau, realize
+from ultraquiet.linalg.lagged import products_so_far
 from ultraquiet.linalg.polynomial_roots import mirrored_inside, monic_from_roots, stabilised
 from ultraquiet.linalg.prediction import repaired
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
@@ -44,6 +45,7 @@ class ChannelData:
         self._subspaces: dict[int, tuple[FloatArray, FloatArray] | None] = {}
         self.searched: dict[Hashable, Any] = {}
         self.numerators: dict[Hashable, FloatArray] = {}  # of the plants that starts begin with, by their poles
+        self._tests: dict[int, portmanteau.InputTests] = {}
         self.start: PolynomialModel | None = None
 
     @classmethod
@@ -70,6 +72,12 @@ class ChannelData:
     def centred(self) -> tuple[FloatArray, FloatArray]:
         """Inputs and output without their means."""
         return self.u - self.u.mean(axis=1, keepdims=True), (self.y - self.y.mean())[None]
+
+    def tests_of_inputs(self, lags: int) -> portmanteau.InputTests:
+        """Return the tests that residuals hold nothing of the inputs within so many lags."""
+        if lags not in self._tests:
+            self._tests[lags] = portmanteau.InputTests(self.u, lags)
+        return self._tests[lags]
 
     def poles(self, order: int, rows: int) -> ComplexArray | None:
         """Return the poles of the subspace model with `rows` block rows; None when the record does not carry them."""
@@ -185,8 +193,8 @@ def _least_squares(data: ChannelData, structure: Structure) -> FloatArray:
     rows = free_rows(nu, [ROW_A, *b_rows(nu)])
     parameterisation = Parameterisation.alike(structure, nu)
     signals = signals_of(parameterisation, rows, parameterisation.states(True, True))
-    accumulator = in_memory.InMemory(data.u, data.y, signals)
-    return in_memory.search(accumulator, parameterisation.empty(), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
+    accumulator = InMemory(data.u, data.y, signals)
+    return accumulator.search(parameterisation.empty(), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).table
 
 
 LINEAR_STEPS = 8  # a linear problem is solved by one undamped step; others only clear what rounding left of it
@@ -260,11 +268,11 @@ def _from_poles(data: ChannelData, structure: Structure, f: FloatArray) -> Float
     plant = Structure(0, structure.b, 0, 0, structure.f, structure.delay)
     parameterisation = Parameterisation.alike(plant, nu)
     signals = signals_of(parameterisation, free_rows(nu, b_rows(nu)), parameterisation.states(True, True))
-    accumulator = in_memory.InMemory(data.u, data.y, signals)
+    accumulator = InMemory(data.u, data.y, signals)
     # Output error, Box-Jenkins and ARMAX begin at the same plants.
     key = (plant, f.tobytes())
     if key not in data.numerators:
-        found = in_memory.search(accumulator, table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
+        found = accumulator.search(table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).table
         data.numerators[key] = found[b_rows(nu), : structure.b].copy()
     table[b_rows(nu), : structure.b] = data.numerators[key]
     if structure.c or structure.d:
@@ -315,13 +323,10 @@ def _innovations(v: FloatArray, memory: int) -> FloatArray:
     from ultraquiet.linalg.prediction import filtered
 
     n = v.size
-    G = np.empty((memory + 1, memory + 1))
-    last = v[::-1][:memory]
-    for k in range(memory + 1):
-        leaving = np.cumsum(last[: memory - k] * v[::-1][k:memory])
-        diagonal = float(v[k:] @ v[: n - k]) - np.concatenate([[0.0], leaving])
-        i = np.arange(memory + 1 - k)
-        G[i, i + k] = G[i + k, i] = diagonal
+    i, j = np.indices((memory + 1, memory + 1))
+    first, apart = np.minimum(i, j), np.abs(i - j)
+    whole = np.array([v[k:] @ v[: n - k] for k in range(memory + 1)])
+    G = whole[apart] - products_so_far(v[::-1][:memory])[apart, first]
     G[np.diag_indices_from(G)] += LONG_RIDGE * G[0, 0]
     weights = np.linalg.solve(G[1:, 1:], G[1:, 0])
     return filtered(v, np.concatenate([[1.0], -weights]), np.ones(1))

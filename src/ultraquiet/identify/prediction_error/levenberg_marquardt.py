@@ -1,7 +1,7 @@
-"""The damping and acceptance policy of every prediction-error search: Levenberg and Marquardt's.
+"""Searches from point to point by Levenberg and Marquardt's steps.
 
-A search moves from point to point. Whether a point is one record in memory, several experiments whose polynomials are
-tied or a record on disk, it knows its normal matrix, what a step from it leads to and what that gains.
+Whether a point is that of several experiments whose polynomials are tied or of a record on disk, it knows its normal
+matrix, what a step from it leads to and what that gains. One record in memory is searched by `kernels.point`, compiled.
 """
 
 from typing import Generic, Protocol, Self, TypeVar
@@ -9,12 +9,16 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-
-FIRST_DAMPING = 1e-3
-LEAST_DAMPING = 1e-12
-INNER_TRIES = 14
-STALLED_STEPS = 3
-CONVERGED, RUNNING, STUCK = 1, 0, -1
+from ultraquiet.identify.prediction_error.damping_policy import (
+    CONVERGED,
+    FIRST_DAMPING,
+    INNER_TRIES,
+    RUNNING,
+    STUCK,
+    after_gain,
+    after_loss,
+    at_minimum,
+)
 
 
 class Point(Protocol):
@@ -67,7 +71,7 @@ def minimise(here: P, steps: int, tolerance: float, damping: float = FIRST_DAMPI
         S = here.normal()
         if not np.isfinite(here.criterion):
             return Ended(here, S, iterations, STUCK)
-        if damped_step(S, 0.0)[1] <= tolerance * here.unit or small >= STALLED_STEPS:
+        if at_minimum(damped_step(S, 0.0)[1], small, tolerance * here.unit):
             state = CONVERGED
         if state != RUNNING or iterations >= steps:
             return Ended(here, S, iterations, state)
@@ -77,11 +81,10 @@ def minimise(here: P, steps: int, tolerance: float, damping: float = FIRST_DAMPI
             there = here.moved(step)
             gain = here.gained(there) if there is not None else -np.inf
             if there is not None and gain > 0.0:
-                factor = 0.1 if gain > 0.75 * promised else (0.5 if gain > 0.25 * promised else 2.0)
-                damping = max(LEAST_DAMPING, damping * factor)
+                damping = after_gain(damping, gain, promised)
                 small = small + 1 if gain <= tolerance * here.unit else 0
                 here = there
                 break
-            damping = max(damping, 1e-9) * 6.0
+            damping = after_loss(damping)
         else:
             return Ended(here, S, iterations, STUCK)

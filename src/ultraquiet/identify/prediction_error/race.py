@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.prediction_error import in_memory
+from ultraquiet.identify.prediction_error.damping_policy import CONVERGED, RUNNING
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.initial_models import (
     ChannelData,
@@ -16,7 +16,6 @@ from ultraquiet.identify.prediction_error.initial_models import (
     starting_tables,
     with_noise_anew,
 )
-from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, RUNNING
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
@@ -165,7 +164,7 @@ def _raced(data: ChannelData, structure: Structure, search: Search) -> tuple[Fou
 
 
 def _passes(found: Found, data: ChannelData, structure: Structure) -> bool:
-    return min(residual_tests(found, data.u, structure)) >= SIGNIFICANCE
+    return min(residual_tests(found, data, structure)) >= SIGNIFICANCE
 
 
 def _further(found: Found, data: ChannelData, structure: Structure, search: Search, steps: int) -> Found:
@@ -187,27 +186,20 @@ def run_search(
     free = free_rows(nu, [*plant, ROW_C, ROW_D])
     signals = signals_of(parameterisation, free, parameterisation.states(search.estimate, search.offset))
     accumulator = InMemory(data.u, data.y, signals)
-    ended = in_memory.search(accumulator, table, steps, TOLERANCE)
-    point = ended.point
-    return Found(
-        point.table, point.criterion, accumulator.residual(point.table), ended.normal, ended.iterations, ended.state
-    )
+    ended = accumulator.search(table, steps, TOLERANCE)
+    residual = accumulator.residual(ended.table)
+    return Found(ended.table, ended.loss, residual, ended.normal, ended.iterations, ended.state)
 
 
-def residual_tests(found: Found, u: FloatArray, structure: Structure) -> tuple[float, float]:
+def residual_tests(found: Found, data: ChannelData, structure: Structure) -> tuple[float, float]:
     """Return the p-values that the residual is white, and that neither it nor the noise model holds of the inputs."""
     e = found.residual
-    return whiteness(e, structure), min(freedom(e, u), found.plant_whole_p)
+    return whiteness(e, structure), min(data.tests_of_inputs(_test_lags(e)).p_value(e), found.plant_whole_p)
 
 
 def whiteness(e: FloatArray, structure: Structure) -> float:
     """Return the p-value that the residual e of a structure is white."""
     return portmanteau.ljung_box(e, _test_lags(e), structure.a + structure.c + structure.d).p_value
-
-
-def freedom(e: FloatArray, u: FloatArray) -> float:
-    """Return the p-value that e is free of the inputs, that of the least over them."""
-    return portmanteau.sidak(portmanteau.cross_correlation(e, x, _test_lags(e)).p_value for x in u)
 
 
 def noise_rings(table: FloatArray, structure: Structure) -> bool:
@@ -217,7 +209,7 @@ def noise_rings(table: FloatArray, structure: Structure) -> bool:
 
 def fed_back(e: FloatArray, u: FloatArray) -> bool:
     """Return whether innovations are heard in the inputs after them: what a model misses follows such inputs anyway."""
-    return freedom(e[::-1], u[:, ::-1]) < SIGNIFICANCE
+    return portmanteau.InputTests(u[:, ::-1], _test_lags(e)).p_value(e[::-1]) < SIGNIFICANCE
 
 
 def _test_lags(e: FloatArray) -> int:

@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import FloatArray
 IntArray = np.ndarray[Any, np.dtype[np.int64]]
 ROW_A, ROW_C, ROW_D, ROW_FIRST = 0, 1, 2, 3
 # Stages of a point of a search, first to last: residual, the past taken out of it, gradient.
-RESIDUAL, PAST, GRADIENT, END = 0, 1, 2, 3
+RESIDUAL, PAST, GRADIENT = 0, 1, 2
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import chance
 from ultraquiet.identify.prediction_error import fit as one_fit
-from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED
+from ultraquiet.identify.prediction_error.damping_policy import CONVERGED
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.linalg import portmanteau

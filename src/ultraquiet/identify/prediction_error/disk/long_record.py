@@ -12,9 +12,10 @@ from ultraquiet.identify import chance
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error import race
+from ultraquiet.identify.prediction_error.damping_policy import CONVERGED
 from ultraquiet.identify.prediction_error.disk.passes import LongRecordPoint, Stream, signals_through
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
-from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
+from ultraquiet.identify.prediction_error.levenberg_marquardt import Ended, minimise
 from ultraquiet.identify.prediction_error.model_table import modelled, table_of
 from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation

@@ -1,55 +1,113 @@
-"""One point of a search in memory, compiled: a call is long enough to be worth handing the lock to another thread.
+"""The search of one record in memory, compiled: two threads that search need the interpreter's lock only in between.
 
-A compiler makes what a function calls once more for each function that calls it. So both halves of a point are one
-function that calls the filters in one place and the products in another.
+A compiler makes what a function calls once more for each function that calls it. So both halves of a point and all
+points of a search are one loop that calls the filters in one place and the products in another.
 """
 
 import numpy as np
 
 from ultraquiet._base.compiled import compiled
+from ultraquiet.identify.prediction_error import damping_policy
+from ultraquiet.identify.prediction_error.damping_policy import CONVERGED, INNER_TRIES, RUNNING, STUCK
 from ultraquiet.identify.prediction_error.kernels.filters import filtered
 from ultraquiet.identify.prediction_error.kernels.normal_equations import add_products, damped_step, reduced
-from ultraquiet.identify.prediction_error.kernels.table import add_expanded
-from ultraquiet.identify.prediction_error.structure import GRADIENT, PAST
+from ultraquiet.identify.prediction_error.kernels.table import add_expanded, admissible
+from ultraquiet.identify.prediction_error.structure import GRADIENT, PAST, RESIDUAL
 
 BLOCK = 512  # samples summed before the sums are: rounding grows with the root of either, not of the record
+at_minimum, after_gain, after_loss = (
+    compiled(policy) for policy in (damping_policy.at_minimum, damping_policy.after_gain, damping_policy.after_loss)
+)
 
 
 @compiled
-def evaluated(stages, steps, columns, states, coefficients, known, work, e, first, stop):
-    """Run stages of a point, first to last: its residual, the past taken out of that, its gradient.
+def searched(stage, steps, columns, places, degree, rows, known, work, e, span, table, loss, most, tolerance, damping):
+    """Search from a table: `levenberg_marquardt.minimise`, of at most `most` steps; of fewer than none, its loss alone.
 
-    `steps` and `columns` hold each stage's filters and columns. The residual's stage fits past and constant, writes
-    them into `coefficients` and their products into `known`, `(q, q)`. Returns the sum of squares of row `e` and, after
-    the gradient's stage, [J e]'[J e] of the delta basis with past and constant eliminated.
+    `steps` and `columns` hold each stage's filters and columns, `places` where past and parameters stand, `rows` the
+    coefficients with nothing but the table to come. The residual's stage fits past and constant, writes them into
+    `rows` and their products into `known`, `(q, q)`; beginning with the gradient's, `work` holds the table's residual.
+
+    `table` becomes the last point's. Returns its loss, its normal matrix in the delta basis, the iterations, the state,
+    and the stage reached: GRADIENT where `work` is the last point's, not that of a step tried from it.
     """
-    q = known.shape[0]
-    G = np.zeros((q, q))
-    for stage in range(stages[0], stages[1]):
-        filtered(steps[stage], coefficients, work, first, stop)
-        if stage == PAST or columns[stage].shape[0] == 0:
+    first, stop = span
+    q, samples = known.shape[0], stop - first
+    G, S, trial, plain = known, known, table.copy(), rows.copy()
+    promised, state, small, iterations, tries = 0.0, RUNNING, 0, 0, -1
+    copied(table, rows)
+    while True:
+        filtered(steps[stage], rows, work, first, stop)
+        if stage != PAST:
+            G = products(work, columns[stage], known, q if stage == GRADIENT else 0, first, stop)
+        if stage == RESIDUAL:
+            copied(G[:q, :q], known)
+            add_expanded(damped_step(G, 0.0)[0], 1.0, places[0], rows)
+            stage = PAST
             continue
-        have = q if stage == GRADIENT else 0
-        width = 0
-        for i in range(columns[stage].shape[0]):
-            width += columns[stage][i, 2]
-        G = np.zeros((width, width))
-        copied(known, have, G)
-        add_products(work, columns[stage], have, first, stop, G)
         if stage == GRADIENT:
-            G = reduced(G, q)
+            S = reduced(G, q)
+            if not np.isfinite(loss):
+                state = STUCK
+            elif at_minimum(damped_step(S, 0.0)[1], small, tolerance * loss):
+                state = CONVERGED
+            if state != RUNNING or iterations >= most:
+                break
+            iterations, tries = iterations + 1, 0
         else:
-            copied(G, q, known)
-            x, _ = damped_step(G, 0.0)
-            add_expanded(x, 1.0, states, coefficients)
-    return sum_of_squares(work[e], first, stop), G
+            found = sum_of_squares(work[e], first, stop) / samples
+            gain = samples * (loss - found)
+            if tries < 0 or gain > 0.0:
+                if tries >= 0:
+                    small = small + 1 if gain <= tolerance * loss else 0
+                    damping = after_gain(damping, gain, promised)
+                    copied(trial, table)
+                loss, stage = found, GRADIENT
+                if most < 0:
+                    break
+                continue
+            damping, tries = after_loss(damping), tries + 1
+        promised, damping, tries = tried(table, S, damping, tries, places[1], degree, trial)
+        if tries == INNER_TRIES:
+            state = STUCK
+            break
+        copied(plain, rows)
+        copied(trial, rows)
+        stage = RESIDUAL
+    return loss, S, iterations, state, stage
 
 
 @compiled
-def copied(source, size, out):
-    """Copy the leading block; as slices it would compile five seconds of sentences about their shapes."""
-    for i in range(size):
-        for j in range(size):
+def tried(table, S, damping, tries, moves, degree, trial):
+    """Set `trial` to the admissible table a step leads to; return what that promises, its damping, the tries so far."""
+    promised = 0.0
+    while tries < INNER_TRIES:
+        step, promised = damped_step(S, damping)
+        copied(table, trial)
+        add_expanded(step, 1.0, moves, trial)
+        if admissible(trial, degree):
+            break
+        damping, tries = after_loss(damping), tries + 1
+    return promised, damping, tries
+
+
+@compiled
+def products(work, columns, known, have, first, stop):
+    """Return the products of all columns, those of the first `have` among themselves known."""
+    width = 0
+    for i in range(columns.shape[0]):
+        width += columns[i, 2]
+    G = np.zeros((width, width))
+    copied(known[:have, :have], G)
+    add_products(work, columns, have, first, stop, G)
+    return G
+
+
+@compiled
+def copied(source, out):
+    """Copy what has room; as slices it would compile five seconds of sentences about their shapes."""
+    for i in range(min(source.shape[0], out.shape[0])):
+        for j in range(min(source.shape[1], out.shape[1])):
             out[i, j] = source[i, j]
 
 
