@@ -2,12 +2,12 @@
 
 import re
 from functools import cache
-from importlib import metadata
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet._base.provenance import versions
 from ultraquiet._base.shown.one_line import one_line
 from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, ScriptRow, planted
@@ -180,7 +180,7 @@ def heading(law: Any, model_hash: str) -> dict[str, Any]:
         "name": law.name,
         "NAME": law.name.upper(),
         "rate": f"{law.rate_hz:g}",
-        "version": metadata.version("ultraquiet"),
+        "version": versions()["ultraquiet"],
         "model_hash": model_hash,
     }
 

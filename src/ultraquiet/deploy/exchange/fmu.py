@@ -9,7 +9,6 @@ import uuid
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.provenance import versions
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.plan import GeneratedCode
@@ -202,7 +202,7 @@ def _context(
         "rate": f"{law.rate_hz:g}",
         "rate_exact": float(law.rate_hz).hex(),
         "period": repr(1.0 / law.rate_hz),
-        "version": metadata.version("ultraquiet"),
+        "version": versions()["ultraquiet"],
         "units": sorted({c.unit for c in (*y, *u) if c.unit}),
         "reals": reals,
         "counters": counters,
