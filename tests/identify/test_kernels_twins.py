@@ -139,8 +139,13 @@ class PlainPoint:
 
 @pytest.mark.parametrize("steps", [0, 1, 60])
 @pytest.mark.parametrize("size", [1.0, 1e6])
-def test_a_search_is_the_plain_one(case, steps, size, rng):
-    """To the last bit, of an output that the model explains in part, also where a step no longer gains."""
+@pytest.mark.parametrize("at_once", [0, in_memory.SAMPLES_AT_ONCE])
+def test_a_search_is_the_plain_one(case, steps, size, at_once, rng, monkeypatch):
+    """To the last bit, of an output that the model explains in part, also where a step no longer gains.
+
+    In one call, and in calls of four steps that take up where the last one ended.
+    """
+    monkeypatch.setattr(in_memory, "SAMPLES_AT_ONCE", at_once)
     structure, u, y, table, states = case
     start, tolerance = table_of(structure, rng), 0.0 if size > 1 else 1e-3
     for j in range(INPUTS):

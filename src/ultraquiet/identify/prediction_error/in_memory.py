@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.prediction_error.damping_policy import FIRST_DAMPING
+from ultraquiet.identify.prediction_error.damping_policy import FIRST_DAMPING, RUNNING
 from ultraquiet.identify.prediction_error.signals import FilteredSignals
 from ultraquiet.identify.prediction_error.structure import GRADIENT, RESIDUAL
+
+LOSS_ALONE = -1  # steps of a search that ends with the loss of its start
+SAMPLES_AT_ONCE = 1 << 20  # times steps of one compiled call: a second or so, which an interrupt waits for
 
 
 class InMemory:
@@ -21,7 +24,8 @@ class InMemory:
         self._u, self._y = u, y
         self._work: FloatArray | None = None
         self._table: FloatArray | None = None
-        self._loss, self._known = np.nan, np.zeros((0, 0))
+        self._rows, self._known = signals.coefficients.copy(), np.zeros((signals.unknown_past,) * 2)
+        self._so_far = np.nan, FIRST_DAMPING, 0  # loss, damping, steps in a row that gained little
 
     @property
     def bytes(self) -> int:
@@ -35,8 +39,9 @@ class InMemory:
     def loss(self, table: FloatArray) -> float:
         """Return the mean square of the residual of a table, past and constant fitted."""
         if table is not self._table:
-            self._searched(RESIDUAL, table, -1)
-        return self._loss
+            self._searched(RESIDUAL, table.copy(), LOSS_ALONE)
+            self._table = table
+        return self._so_far[0]
 
     def residual(self, table: FloatArray) -> FloatArray:
         """Return the residual of a table."""
@@ -46,47 +51,51 @@ class InMemory:
     def normal(self, table: FloatArray) -> FloatArray:
         """Return [J e]'[J e] of a table in the delta basis, past and constant eliminated."""
         self.loss(table)
-        return self._searched(GRADIENT, table, 0).normal
+        normal, _, _ = self._searched(GRADIENT, table.copy(), 0)
+        self._table = table
+        return normal
 
     def search(
         self, start: FloatArray, steps: int, tolerance: float, damping: float = FIRST_DAMPING
     ) -> "InMemoryMinimum":
         """Search from a table until no step promises to lower the loss or `steps` are used up.
 
-        `levenberg_marquardt.minimise` of this record's loss, compiled.
+        `levenberg_marquardt.minimise` of this record's loss, compiled; a call of it ends soon, for nothing stops it.
         """
-        return self._searched(RESIDUAL, start, steps, tolerance, damping)
+        table, stage, iterations, at_once = start.copy(), RESIDUAL, 0, max(4, SAMPLES_AT_ONCE // self.samples)
+        self._so_far = np.nan, damping, 0
+        while True:
+            normal, more, state = self._searched(stage, table, min(at_once, steps - iterations), tolerance)
+            stage, iterations = GRADIENT, iterations + more
+            if state != RUNNING or iterations >= steps:
+                return InMemoryMinimum(table, self._so_far[0], normal, iterations, state)
 
     def _searched(
-        self, first: int, table: FloatArray, most: int, tolerance: float = 0.0, damping: float = FIRST_DAMPING
-    ) -> "InMemoryMinimum":
-        """Search from a table; of fewer steps than none, have its loss alone."""
+        self, first: int, table: FloatArray, most: int, tolerance: float = 0.0
+    ) -> tuple[FloatArray, int, int]:
+        """Move a table to the end of a search of at most so many steps; return normal matrix, iterations and state."""
         from ultraquiet.identify.prediction_error.kernels.point import searched
 
-        s = self.signals
-        if first == RESIDUAL:
-            self._coefficients, self._known = s.coefficients.copy(), np.zeros((s.unknown_past,) * 2)
-        reached = table.copy()
-        loss, normal, iterations, state, stage = searched(
+        s, self._table = self.signals, None
+        self._so_far, normal, iterations, state, stage = searched(
             first,
             (s.model, s.past, s.gradient),
             (s.nuisance, s.nuisance[:0], s.columns),
             (s.states, s.moves),
             s.degree,
-            self._coefficients,
+            s.coefficients,
+            self._rows,
             self._known,
             self._workspace(),
             s.e,
             (s.head, s.head + self.samples),
-            reached,
-            self._loss,
+            table,
+            self._so_far,
             most,
             tolerance,
-            damping,
         )
-        last = reached if iterations else table
-        self._table, self._loss = last if stage == GRADIENT else None, loss
-        return InMemoryMinimum(last, loss, normal, iterations, state)
+        self._table = table if stage == GRADIENT else None
+        return normal, iterations, state
 
     def _workspace(self) -> FloatArray:
         if self._work is None:

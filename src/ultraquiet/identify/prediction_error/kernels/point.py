@@ -21,22 +21,26 @@ at_minimum, after_gain, after_loss = (
 
 
 @compiled
-def searched(stage, steps, columns, places, degree, rows, known, work, e, span, table, loss, most, tolerance, damping):
+def searched(stage, steps, columns, places, degree, plain, rows, known, work, e, span, table, so_far, most, tolerance):
     """Search from a table: `levenberg_marquardt.minimise`, of at most `most` steps; of fewer than none, its loss alone.
 
-    `steps` and `columns` hold each stage's filters and columns, `places` where past and parameters stand, `rows` the
-    coefficients with nothing but the table to come. The residual's stage fits past and constant, writes them into
-    `rows` and their products into `known`, `(q, q)`; beginning with the gradient's, `work` holds the table's residual.
+    `steps` and `columns` hold each stage's filters and columns, `places` where past and parameters stand, `plain` the
+    coefficients without table and past. The residual's stage fits past and constant, writes them into `rows` and their
+    products into `known`, `(q, q)`; where the gradient's is the first, these and `work` are those of the table.
+    `so_far` is the search's loss, its damping and how many steps in a row gained little.
 
-    `table` becomes the last point's. Returns its loss, its normal matrix in the delta basis, the iterations, the state,
-    and the stage reached: GRADIENT where `work` is the last point's, not that of a step tried from it.
+    `table` becomes the last point's. Returns the same three of it, its normal matrix in the delta basis, the
+    iterations, the state, and the stage reached: GRADIENT where `work` is the last point's, not that of a step tried.
     """
     first, stop = span
+    loss, damping, small = so_far
     q, samples = known.shape[0], stop - first
-    G, S, trial, plain = known, known, table.copy(), rows.copy()
-    promised, state, small, iterations, tries = 0.0, RUNNING, 0, 0, -1
-    copied(table, rows)
+    G, S, trial = known, known, table.copy()
+    promised, state, iterations, tries = 0.0, RUNNING, 0, -1
     while True:
+        if stage == RESIDUAL:
+            copied(plain, rows)
+            copied(trial, rows)
         filtered(steps[stage], rows, work, first, stop)
         if stage != PAST:
             G = products(work, columns[stage], known, q if stage == GRADIENT else 0, first, stop)
@@ -47,10 +51,7 @@ def searched(stage, steps, columns, places, degree, rows, known, work, e, span, 
             continue
         if stage == GRADIENT:
             S = reduced(G, q)
-            if not np.isfinite(loss):
-                state = STUCK
-            elif at_minimum(damped_step(S, 0.0)[1], small, tolerance * loss):
-                state = CONVERGED
+            state = state_at(S, loss, small, tolerance)
             if state != RUNNING or iterations >= most:
                 break
             iterations, tries = iterations + 1, 0
@@ -71,10 +72,16 @@ def searched(stage, steps, columns, places, degree, rows, known, work, e, span, 
         if tries == INNER_TRIES:
             state = STUCK
             break
-        copied(plain, rows)
-        copied(trial, rows)
         stage = RESIDUAL
-    return loss, S, iterations, state, stage
+    return (loss, damping, small), S, iterations, state, stage
+
+
+@compiled
+def state_at(S, loss, small, tolerance):
+    """Return whether a search goes on from a point."""
+    if not np.isfinite(loss):
+        return STUCK
+    return CONVERGED if at_minimum(damped_step(S, 0.0)[1], small, tolerance * loss) else RUNNING
 
 
 @compiled
