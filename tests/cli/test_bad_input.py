@@ -68,6 +68,8 @@ def test_every_setting_that_is_wrong_is_named_at_once(run, tmp_path, rng):
         assert named in said
 
 
+# Two tests of its residual at the level of a thousandth, here and in `validate`: 14 and 2 of 4000 fits were refused.
+@pytest.mark.draws(false_alarm=5e-3)
 def test_a_rate_that_contradicts_is_refused(run, tmp_path, rng):
     """The record's own rate against --rate, and a model's rate against a record's."""
     held = record(rng)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import binom
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
@@ -33,6 +34,17 @@ def test_p_values_of_white_residuals_are_uniform(rng):
     # 1.95 is passed by one uniform sample in a thousand; the coloured case rests on an estimated variance.
     assert max(figures[:2]) < 1.95
     assert figures[2] < 3.0
+
+
+@pytest.mark.draws(false_alarm=2e-3)  # two counts beyond what one in a thousand passes
+@pytest.mark.parametrize(("samples", "lags"), [(400, 40), (100, 10)])
+def test_white_residuals_of_short_records_are_refused_as_often_as_is_said(samples, lags, rng):
+    """By chi-squared four times as many at the level of a thousandth; half as many again are what its docs allow."""
+    p = np.array([portmanteau.ljung_box(e, lags).p_value for e in rng.standard_normal((8000, samples))])
+    counts = [int(np.sum(p < level)) for level in (0.01, 0.001)]
+    print(f"\n{counts} of {p.size} refused at 0.01 and 0.001")
+    assert counts[0] <= binom.isf(1e-3, p.size, 1.1 * 0.01)
+    assert counts[1] <= binom.isf(1e-3, p.size, 1.5 * 0.001)
 
 
 def test_power_against_colour_and_input(rng):

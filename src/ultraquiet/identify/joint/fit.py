@@ -119,16 +119,14 @@ def residual_tests(problem: Problem, residuals: Sequence[FloatArray], members: S
     larger than need be, or shared by several groups, only a part is fitted to each residual, and the test must not
     refuse good models more often than it says.
     """
-    from scipy.special import chdtrc
-
-    total, lags_all, free = 0.0, 0, []
+    total, lags_all, crowded, free = 0.0, 0, 0.0, []
     for k in members:
         e, u = residuals[k], problem.parts[k].data.u
         lags = min(TEST_LAGS, e.size // 10)
         total += portmanteau.ljung_box(e, lags).statistic
-        lags_all += lags
+        lags_all, crowded = lags_all + lags, crowded + lags * lags / e.size
         free += [portmanteau.cross_correlation(e, x, lags).p_value for x in u]
-    white = float(chdtrc(lags_all, total))
+    white = portmanteau.whiteness_evidence(total, lags_all, crowded / lags_all).p_value
     return white, portmanteau.sidak(free)
 
 
