@@ -206,7 +206,7 @@ def _hankel_norm(F: ComplexArray) -> tuple[float, float]:
         return size, 0.0
     tail = float(np.abs(h[-h.size // 4 :]).max()) / size
     n = h.size // 2
-    length = next_fast_len(3 * n, real=True)
+    length = next_fast_len(2 * n - 1, real=True)  # what wraps round misses the n products that are taken
     spectrum = np.fft.rfft(h[: 2 * n - 1], length)
 
     def product(x: FloatArray) -> FloatArray:
