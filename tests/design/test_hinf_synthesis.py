@@ -76,6 +76,9 @@ def random_problem(rng, n):
     return StateSpace(A, rng.standard_normal((n, 5)), rng.standard_normal((5, n)), rng.standard_normal((5, 5)))
 
 
+# Where no equation of the sampled problem can be solved near its optimum, the search stops as much above it, and its
+# verdict says that it is not decided: by 1.4e-3 in 1 of 147 runs.
+@pytest.mark.draws(false_alarm=0.02)
 def test_reported_equals_achieved_and_time_does_not_matter(rng):
     """Random plants, stable or not, all direct terms full: continuous and discrete by the bilinear map."""
     worst, apart, solved = 0.0, 0.0, 0
@@ -88,6 +91,8 @@ def test_reported_equals_achieved_and_time_does_not_matter(rng):
         assert other.status.ok, other.status
         worst = max(worst, agreement(result), agreement(other))
         apart = max(apart, abs(other.gamma / result.gamma - 1))
+        for one, another in ((result, other), (other, result)):  # what one calls out of reach is not reached by another
+            assert one.details["optimum"][0] <= another.gamma * (1 + 1e-6)
         assert result.achieved <= result.details["bound"] * (1 + 1e-3)
         solved += 1
     print(f"{solved} random problems: reported against achieved {worst:.1e}, continuous against discrete {apart:.1e}")

@@ -115,7 +115,11 @@ def test_zeros_at_one_are_exact(rng):
     assert np.abs(found.response(np.ones(1, complex))).max() < 1e-10 * np.abs(found.response(Z)).max()
 
 
-@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+# Of one channel a drawn mode may be no louder than the noise, and is then not missed: 3 of 600.
+ONE_CHANNEL = pytest.param(1, 1, marks=pytest.mark.draws(false_alarm=0.01))
+
+
+@pytest.mark.parametrize(("ny", "nu"), [ONE_CHANNEL, (4, 3), (3, 5)])
 def test_elimination_comes_past_the_truth(rng, ny, nu):
     truth = drawn(rng, ny, nu, 4, 1)
     noise = 1e-3 * (rng.standard_normal((ny, nu, Z.size)) + 1j * rng.standard_normal((ny, nu, Z.size)))
