@@ -206,6 +206,16 @@ def test_lagged_products_of_any_blocks(rng):
             assert sums.products(centred) == pytest.approx(wanted, abs=1e-11 * np.abs(wanted).max())
 
 
+@pytest.mark.parametrize(("samples", "lags"), [(1, 0), (3, 7), (50, 7), (9000, 40)])
+def test_centred_products_are_those_of_signals_without_their_means(samples, lags, rng):
+    x = 3.0 + rng.standard_normal((2, samples))
+    sums = Lagged(2, lags)
+    sums.add(x)
+    z = x - x.mean(axis=1, keepdims=True)
+    plain = np.array([z[:, : max(0, samples - k)] @ z[:, k:].T for k in range(lags + 1)])
+    assert sums.products(centred=True)[:samples] == pytest.approx(plain[:samples], abs=1e-9 * samples)
+
+
 def test_the_start_is_taken_where_the_record_is_excited(rng, tmp_path):
     """Half an hour of silence before the excitation must not be what the search starts from."""
     drawn = draw("suite_rate", rng, samples=120_000, u=np.r_[np.zeros(80_000), rng.standard_normal(40_000)])

@@ -63,8 +63,9 @@ class Lagged:
     def _means(self) -> FloatArray:
         """Return what the means add: sum_t (m_a x_b(t + k) + x_a(t) m_b - m_a m_b)."""
         mean, lags = self.mean, np.arange(self.lags + 1)
-        later = (self._total[:, None] - _sums_so_far(self.head)).T
-        sooner = (self._total[:, None] - _sums_so_far(self.tail[:, ::-1])).T
+        kept = np.minimum(lags, self.head.shape[1])  # of fewer samples than lags all
+        later = (self._total[:, None] - _sums_so_far(self.head)[:, kept]).T
+        sooner = (self._total[:, None] - _sums_so_far(self.tail[:, ::-1])[:, kept]).T
         both = (self.samples - lags)[:, None, None] * np.outer(mean, mean)
         return mean[:, None] * later[:, None, :] + sooner[:, :, None] * mean - both
 
