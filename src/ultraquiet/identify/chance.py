@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import prediction
-from ultraquiet.linalg.lagged import Lagged, products_so_far
+from ultraquiet.linalg.lagged import Lagged, products_of_shifts
 from ultraquiet.values import Status, StatusWord
 
 TINY = float(np.finfo(float).tiny)
@@ -54,11 +54,7 @@ def _innovation(sums: Lagged, r: FloatArray, channel: int) -> float:
     """
     lags = min(prediction.MEMORY, sums.lags)
     head, tail = sums.head[channel, :lags] - sums.mean[channel], sums.tail[channel, -lags:] - sums.mean[channel]
-    i, j = np.indices((lags + 1, lags + 1))
-    first, apart = np.minimum(i, j), np.abs(i - j)
-    # Of k samples apart: what lies before the first lags - k ... 0 and after the last 0 ... lags - k known pasts.
-    early, late = products_so_far(head)[apart, lags - apart - first], products_so_far(tail[::-1])[apart, first]
-    G = r[apart] - early - late
+    G = products_of_shifts(r[: lags + 1], tail, head)
     G[np.diag_indices_from(G)] += prediction.RIDGE * np.trace(G) / len(G)
     known = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=None)[0]
     return float(G[0, 0] - known @ G[1:, 0]) / max(sums.samples - lags, 1)

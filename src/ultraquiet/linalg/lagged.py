@@ -76,12 +76,31 @@ class Lagged:
         return first.conj().T[:, :, None] * every.T[:, None, :]
 
 
-def products_so_far(x: FloatArray) -> FloatArray:
-    """Return the sums of x_j x_(j + k) over j < m, `(lag k, m)`, both from 0 to the size of x, beyond which it is zero.
+def products_of_shifts(r: FloatArray, last: FloatArray, first: FloatArray | None = None) -> FloatArray:
+    """Return the products of a signal's shifts by 0 .. n from its products at these lags, `(n + 1, n + 1)`.
 
-    >>> products_so_far(np.array([1.0, 2.0, 3.0])).tolist()
-    [[0.0, 1.0, 5.0, 14.0], [0.0, 2.0, 8.0, 8.0], [0.0, 3.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0]]
+    Those of i and j samples differ from r[|i - j|] by what leaves at the end and, where the first samples only stand in
+    the past of others, by what has not yet come at the start.
+
+    Args:
+        r: `(n + 1,)` sums of x(t) x(t + k) over the whole signal.
+        last: `(n,)` last samples, the newest last.
+        first: `(n,)` first samples; None where the signal is zero before it begins.
+
+    >>> x, r = np.array([1.0, 2.0, 3.0]), np.array([14.0, 8.0])
+    >>> products_of_shifts(r, x[-1:]).tolist(), products_of_shifts(r, x[-1:], x[:1]).tolist()
+    ([[14.0, 8.0], [8.0, 5.0]], [[13.0, 8.0], [8.0, 5.0]])
     """
+    i, j = np.indices((r.size, r.size))
+    least, apart = np.minimum(i, j), np.abs(i - j)
+    G = r[apart]
+    if first is not None:
+        G = G - _products_so_far(first)[apart, first.size - apart - least]
+    return G - _products_so_far(last[::-1])[apart, least]
+
+
+def _products_so_far(x: FloatArray) -> FloatArray:
+    """Return the sums of x_j x_(j + k) over j < m, `(lag k, m)`, k and m from 0 to the size of x, zero beyond it."""
     later = np.lib.stride_tricks.sliding_window_view(np.concatenate([x, np.zeros(x.size + 1)]), max(x.size, 1))
     return _sums_so_far(later[: x.size + 1, : x.size] * x)
 

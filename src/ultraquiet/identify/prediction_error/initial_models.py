@@ -18,7 +18,7 @@ from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
 from ultraquiet.linalg import portmanteau, realize
-from ultraquiet.linalg.lagged import products_so_far
+from ultraquiet.linalg.lagged import products_of_shifts
 from ultraquiet.linalg.polynomial_roots import mirrored_inside, monic_from_roots, stabilised
 from ultraquiet.linalg.prediction import repaired
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
@@ -323,10 +323,8 @@ def _innovations(v: FloatArray, memory: int) -> FloatArray:
     from ultraquiet.linalg.prediction import filtered
 
     n = v.size
-    i, j = np.indices((memory + 1, memory + 1))
-    first, apart = np.minimum(i, j), np.abs(i - j)
     whole = np.array([v[k:] @ v[: n - k] for k in range(memory + 1)])
-    G = whole[apart] - products_so_far(v[::-1][:memory])[apart, first]
+    G = products_of_shifts(whole, v[n - memory :])
     G[np.diag_indices_from(G)] += LONG_RIDGE * G[0, 0]
     weights = np.linalg.solve(G[1:, 1:], G[1:, 0])
     return filtered(v, np.concatenate([[1.0], -weights]), np.ones(1))

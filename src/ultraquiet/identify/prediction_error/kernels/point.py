@@ -45,7 +45,7 @@ def searched(stage, steps, columns, places, degree, plain, rows, known, work, e,
         if stage != PAST:
             G = products(work, columns[stage], known, q if stage == GRADIENT else 0, first, stop)
         if stage == RESIDUAL:
-            copied(G[:q, :q], known)
+            copied(G, known)
             add_expanded(damped_step(G, 0.0)[0], 1.0, places[0], rows)
             stage = PAST
             continue
