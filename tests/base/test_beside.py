@@ -5,11 +5,12 @@ import os
 import subprocess
 import sys
 import time
+from threading import Event
 
 import pytest
 
-from ultraquiet._base.beside import TICKS, Ticks, beside
-from ultraquiet._base.progress import listening
+from ultraquiet._base.beside import TICKS, Ticks, beside, numbered, turns
+from ultraquiet._base.progress import listening, wanted_until
 
 WORK = """
 import sys, time
@@ -41,6 +42,12 @@ class Heard:
 
 
 @pytest.fixture
+def two_processors(monkeypatch):
+    """Nothing is run beside on a machine with one."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+
+
+@pytest.fixture
 def work(tmp_path, monkeypatch):
     """Leaves the module `some_work` where Python finds it."""
     (tmp_path / "some_work.py").write_text(WORK)
@@ -62,6 +69,15 @@ def test_it_ends_with_the_block_whatever_happens_there(work):
         raise ValueError("broken")
     assert time.perf_counter() - begun < 20
     assert not work.exists()
+
+
+def test_whoever_is_interrupted_waits_no_longer(work):
+    interrupted = Event()
+    interrupted.set()
+    with beside("work", "some_work", "60", str(work)) as said, wanted_until(interrupted):
+        with pytest.raises(KeyboardInterrupt):
+            said.wait("a word that never comes")
+        assert not said.ended
 
 
 def test_what_cannot_be_run_leaves_no_trace_and_no_error(work):
@@ -103,6 +119,56 @@ def test_what_makes_itself_ready_begins_when_it_is_told(tmp_path, monkeypatch, t
         assert word in said._words
 
 
+SHARED = """
+import os, sys, time
+from ultraquiet._base.beside import end_with_parent, turns
+begun = end_with_parent()
+for number in turns(int(sys.argv[1])):
+    if number == int(sys.argv[2]):
+        os._exit(3)
+    print(f"job {number}", flush=True)
+    time.sleep(0.05)  # so that the other comes to its turn
+begun.wait()
+"""
+
+
+def shared(tmp_path, monkeypatch, fatal):
+    """Two processes that take forty numbers and then wait for a word; one ends where it comes to `fatal`."""
+    (tmp_path / "shared_work.py").write_text(SHARED)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    with numbered(40) as numbers:
+        words = str(numbers), str(fatal)
+        with beside("work", "shared_work", *words, processes=2, holds=[numbers]) as said:
+            yield said
+
+
+@pytest.mark.usefixtures("two_processors")
+def test_processes_take_every_number_once(tmp_path, monkeypatch):
+    for said in shared(tmp_path, monkeypatch, -1):
+        for number in range(40):
+            said.wait(f"job {number}")
+        assert not said.ended  # both are there: one alone would wait as well, and one word would not end two
+        said.begin()
+        said.wait()
+        assert said.ended
+        assert said._words == {f"job {number}" for number in range(40)}
+
+
+@pytest.mark.usefixtures("two_processors")
+def test_nobody_waits_for_what_a_process_that_failed_had_taken(tmp_path, monkeypatch):
+    for said in shared(tmp_path, monkeypatch, 30):
+        said.wait("job 30")
+        assert said.ended
+        assert "job 30" not in said._words
+
+
+def test_numbers_come_in_order_and_end():
+    with numbered(3) as numbers:
+        assert list(turns(numbers)) == [0, 1, 2]
+    with numbered(0) as numbers:
+        assert list(turns(numbers)) == []
+
+
 CHILD = """
 import sys, time
 from ultraquiet._base.beside import end_with_parent
@@ -115,7 +181,7 @@ import fcntl, os, sys
 from ultraquiet._base.beside import beside
 lock = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
 fcntl.flock(lock, fcntl.LOCK_EX)
-with beside("work", "some_child", sys.argv[2], holds=lock) as said:
+with beside("work", "some_child", sys.argv[2], holds=[lock]) as said:
     said.wait()
 """
 

@@ -66,7 +66,7 @@ def test_another_structure_of_the_paper_is_judged_anew(old, new, tmp_path):
 
     def judged(text, folder):
         stages = ModelStages(parse(text), Cache(tmp_path / folder), None, records, lambda _: None)
-        outcomes = stages.judged(stages.plant().values[stored.PLANT], PLAN, Said(ended=True))
+        outcomes = stages.judged(stages.plant().values[stored.PLANT], PLAN, Said())
         (fit,) = outcomes[1].facts.records.values()
         return [outcome.reused for outcome in outcomes], dict(fit.fit_percent)
 

@@ -1,6 +1,8 @@
 """What the process beside a study leaves is what the walk would have made, and what it cannot make it leaves alone."""
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 
@@ -8,13 +10,16 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet._base.beside import SENTENCE
+from ultraquiet._base.beside import SENTENCE, numbered
 from ultraquiet.pipeline import load_study
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.limits import stage as limits
-from ultraquiet.pipeline.making.designs import by_need, design_key, design_stage
+from ultraquiet.pipeline.making.designs import by_need, chains, design_key, design_stage
+from ultraquiet.pipeline.making.processes import designing_beside
 from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.stage import Cache
+from ultraquiet.pipeline.store import entry
+from ultraquiet.pipeline.study import parse
 
 pytestmark = pytest.mark.slow  # two processes and limits of three seconds each
 PLAN = LoopPlan(("bench",), (12.0,), 1.0, 2.0, (8.0, 40.0))
@@ -61,13 +66,16 @@ def folder(tmp_path_factory):
     return place
 
 
-def made(folder):
-    """Let the process beside make everything; return what it said."""
-    command = [sys.executable, "-m", "ultraquiet.pipeline.making.worker", "design", str(folder)]
-    command.append(json.dumps(to_plain(PLAN)))
-    # it ends with its input, which is this process's to close
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        return process.stdout.read().split("\n")
+def made(folder, jobs=4):
+    """Let the process beside make everything, three laws and the limits; return what it said."""
+    with numbered(jobs) as numbers:
+        words = ["design", str(folder), str(numbers), json.dumps(to_plain(PLAN))]
+        command = [sys.executable, "-m", "ultraquiet.pipeline.making.worker", *words]
+        pipe = subprocess.PIPE
+        # it ends with its input, which is this process's to close
+        with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, pass_fds=[numbers]) as process:
+            os.write(process.stdin.fileno(), b"\n")  # all laws are there by the time it asks
+            return process.stdout.read().split("\n")
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +109,30 @@ def test_what_was_changed_by_hand_is_told_to_who_began_the_process(folder, said)
     told = [word.removeprefix(SENTENCE) for word in made(folder) if word.startswith(SENTENCE)]
     assert any("controllers/calm.h5" in sentence and "edited" in sentence for sentence in told), told
     assert uq.files.load(law).hash == before
+
+
+def test_processes_share_the_laws_and_one_of_them_finds_the_limits(folder, said, tmp_path):
+    place = tmp_path / "shared"
+    (place / "models").mkdir(parents=True)
+    for name in ("study.json", "models/plant.h5"):
+        shutil.copy(folder / name, place / name)
+    study = uq.pipeline.study.reload_study(folder)
+    with designing_beside(Cache(place), True, 4, json.dumps(to_plain(PLAN))) as designs:
+        for name in study.controllers:
+            designs.wait(name)
+        designs.begin()
+        designs.wait()
+    for name in ("controllers/asked.h5", "controllers/calm.h5"):
+        assert uq.files.load(place / name).hash == uq.files.load(folder / name).hash
+    shared, alone = (json.dumps(entry.read(each, "limits").facts) for each in (place, folder))
+    assert shared == alone
+
+
+def test_laws_sought_with_a_given_peak_begin_early_and_chains_stay_together():
+    table = '\n[controllers.{}.design]\nmethod = "band-attenuation"\npeak_db = 6.0\n'
+    round_calm = (
+        '\n[controllers.hum]\naround = "calm"\n[controllers.hum.design]\nmethod = "resonators"\ntones_hz = [30.0]\n'
+    )
+    study = parse(STUDY + table.format("late") + round_calm)
+    assert by_need(study) == ["calm", "asked", "late", "none", "hum"]
+    assert chains(study) == [["calm", "hum"], ["asked"], ["late"], ["none"]]

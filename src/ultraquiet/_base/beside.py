@@ -3,14 +3,16 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Generator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from threading import Condition, Event, Thread
 
-from ultraquiet._base.progress import Task, task
+from ultraquiet._base.progress import Task, require_wanted, task
+from ultraquiet._base.threads import GLANCE_S
 
 TICKS = 100  # of the bar
 SENTENCE = "say "  # before a sentence, among the words of a process
+BYTES = 4  # of a number in a pipe
 
 
 @contextmanager
@@ -19,7 +21,8 @@ def beside(
     module: str,
     *words: str,
     wanted: bool = True,
-    holds: int | None = None,
+    processes: int = 1,
+    holds: Sequence[int] = (),
     say: Callable[[str], object] = str,
 ) -> Generator["Said"]:
     """Run `python -m module words` for the length of a block, where there is a second processor for it.
@@ -30,51 +33,62 @@ def beside(
             told: who finds nothing there makes it.
         words: its arguments.
         wanted: nothing is run without.
-        holds: an open file that the process keeps open too, a lock that it works under.
-        say: told the sentences that it tells (`tell`).
+        processes: how many of the same; they share their work by `numbered`. Where one fails the others are ended too.
+        holds: open files that the processes keep open too: a lock that they work under, numbers that they take.
+        say: told the sentences that they tell (`tell`).
 
     Yields:
-        What waits for it, or for a word of it. It is ended with the block.
+        What waits for them, or for a word of one of them. They are ended with the block.
     """
-    process = _started(module, words, holds) if wanted and (os.cpu_count() or 1) > 1 else None
-    if process is None:
-        yield Said(ended=True)
+    wanted_processes = processes if wanted and (os.cpu_count() or 1) > 1 else 0
+    started = [each for _ in range(wanted_processes) if (each := _started(module, words, holds)) is not None]
+    if not started:
+        yield Said()
         return
-    with process, task(title, TICKS) as progress:
-        said = Said(process=process)
-        reader = Thread(target=_follow, args=(process, progress, said, say), daemon=True)
-        reader.start()
+    with ExitStack() as stack, task(title, TICKS) as progress:
+        for each in started:
+            stack.enter_context(each)
+        said = Said(started)
+        readers = [Thread(target=_follow, args=(each, progress, said, say), daemon=True) for each in started]
+        for reader in readers:
+            reader.start()
         try:
             yield said
         finally:
-            process.kill()
-            reader.join()
+            said.kill()
+            for reader in readers:
+                reader.join()
 
 
 class Said:
-    """The words that a process has said, and the one that is said to it."""
+    """The words that processes have said, and the one that is said to them; of none, no word will come."""
 
-    def __init__(self, ended: bool = False, process: "subprocess.Popen[str] | None" = None) -> None:
+    def __init__(self, processes: "Sequence[subprocess.Popen[str]]" = ()) -> None:
         self._words: set[str] = set()
-        self._ended, self._process = ended, process
+        self._processes, self._running = processes, len(processes)
         self._changed = Condition()
 
     @property
     def ended(self) -> bool:
         """Whether no more will come."""
-        return self._ended
+        return self._running == 0
 
     def begin(self) -> None:
-        """Tell a process that makes itself ready beforehand that what it works on is there."""
-        if self._process is None or self._process.stdin is None:
-            return
-        with suppress(OSError):  # it is gone: whoever finds nothing made makes it
-            os.write(self._process.stdin.fileno(), b"\n")  # nothing stays behind in a buffer
+        """Tell processes that make themselves ready beforehand that what they work on is there."""
+        for process in self._processes:
+            assert process.stdin is not None
+            with suppress(OSError):  # it is gone: whoever finds nothing made makes it
+                os.write(process.stdin.fileno(), b"\n")  # nothing stays behind in a buffer
 
     def wait(self, word: str | None = None) -> None:
-        """Wait until the process has said a word, or has ended; without a word, until it has ended."""
+        """Wait until a process has said a word, or all have ended; without a word, until all have ended.
+
+        Raises:
+            KeyboardInterrupt: it is wanted no more.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or word in self._words)
+            while not self._changed.wait_for(lambda: self.ended or word in self._words, GLANCE_S):
+                require_wanted()
 
     def add(self, word: str) -> None:
         """Take note of a word."""
@@ -83,10 +97,33 @@ class Said:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Take note that no more will come."""
+        """Take note that one of them says no more."""
         with self._changed:
-            self._ended = True
+            self._running -= 1
             self._changed.notify_all()
+
+    def kill(self) -> None:
+        """End all of them."""
+        for process in self._processes:
+            process.kill()
+
+
+@contextmanager
+def numbered(count: int) -> Generator[int]:
+    """Yield an open file from which processes that hold it take the numbers below `count` in order, each once."""
+    taken, given = os.pipe()
+    try:
+        with open(given, "wb") as numbers:
+            numbers.write(b"".join(number.to_bytes(BYTES) for number in range(count)))
+        yield taken
+    finally:
+        os.close(taken)
+
+
+def turns(file: int) -> Iterator[int]:
+    """Yield the numbers that are this process's to take."""
+    while number := os.read(file, BYTES):
+        yield int.from_bytes(number)
 
 
 def tell(sentence: str) -> None:
@@ -134,13 +171,13 @@ def end_with_parent() -> Event:
     return begun
 
 
-def _started(module: str, words: tuple[str, ...], holds: int | None) -> "subprocess.Popen[str] | None":
+def _started(module: str, words: tuple[str, ...], holds: Sequence[int]) -> "subprocess.Popen[str] | None":
     command = [sys.executable, "-m", module, *words]
-    out, quiet, kept = subprocess.PIPE, subprocess.DEVNULL, () if holds is None else (holds,)
+    out, quiet = subprocess.PIPE, subprocess.DEVNULL
     try:
         # Its input's end tells it that this process is gone.
-        return subprocess.Popen(command, stdin=out, stdout=out, stderr=quiet, text=True, pass_fds=kept)
-    except OSError:
+        return subprocess.Popen(command, stdin=out, stdout=out, stderr=quiet, text=True, pass_fds=holds)
+    except (OSError, ValueError):  # there are systems on which no file is handed on
         return None
 
 
@@ -155,5 +192,7 @@ def _follow(process: "subprocess.Popen[str]", progress: Task, said: Said, say: C
                 say(word.removeprefix(SENTENCE))
             else:
                 said.add(word)
+        if process.wait():
+            said.kill()  # nobody waits for what a process that failed had taken, and nothing is made twice
     finally:
         said.end()

@@ -1,7 +1,7 @@
 """The stages of a study after its records, each reused when nothing it depends on has changed."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,12 +27,13 @@ from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making.code import deployed
 from ultraquiet.pipeline.making.designs import (
     by_need,
+    chains,
     design_key,
     design_stage,
     key_of,
 )
 from ultraquiet.pipeline.making.models import ModelStages
-from ultraquiet.pipeline.making.processes import working_beside
+from ultraquiet.pipeline.making.processes import designing_beside, identifying_beside
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
@@ -46,7 +47,11 @@ from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
 FAR = 2  # so many designs are worth a process of their own
-_OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
+_OPEN, _MODELS, _LIMITS = (
+    "the open loops",
+    "the models",
+    "the limits",
+)  # what is done beside the controllers, none of which is called so
 Adapting = Callable[[], Controller | None]  # makes what runs where a law adapts
 
 
@@ -55,13 +60,13 @@ class Stages(ModelStages):
     """All stages of a study after its records: its models, and what is designed on them, closed and made into code."""
 
     turns: dict[str, Lock] = field(default_factory=dict)  # whose design is being made, or read
-    ahead: Said = field(default_factory=partial(Said, ended=True))  # a process that waits for records to identify
+    ahead: Said = field(default_factory=Said)  # a process that waits for records to identify
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
         late = several and self.ahead.ended and not self.are_identified()
-        with self._beside("identify", late) as begun_late:
+        with identifying_beside(self.cache, late and self.study.blending is None) as begun_late:
             models = begun_late if late else self.ahead
             models.begin()
             plant = self.plant()
@@ -74,18 +79,18 @@ class Stages(ModelStages):
             opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
             payloads = self._payloads(plan)
             far = several and sum(not self._is_designed(name, system, plan) for name in first) >= FAR
-            words = json.dumps(to_plain(plan)), *self.further
-            with self._beside("design", far, *words) as designs:
+            jobs_beside, words = len(chains(self.study)) + 1, (json.dumps(to_plain(plan)), *self.further)  # and limits
+            with designing_beside(self.cache, far and self.study.blending is None, jobs_beside, *words) as designs:
                 one = partial(self._controller, plant=system, plan=plan, opened=opened, payloads=payloads, said=designs)
                 jobs: dict[str, Callable[[], Any]] = {_OPEN: opened.apart} if far and opened is not None else {}
                 jobs |= {name: partial(one, name) for name in first}
                 jobs[_MODELS] = partial(self.judged, system, plan, models)
+                jobs[_LIMITS] = partial(_found_last, designs, first)
                 # what waits for another process takes no processor's time
                 workers = len(jobs) if far else None if several else 1
                 with _ended_softly(self.bench):
                     done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
                 laws = {name: law for name in names if (law := done[name].law) is not None}
-                designs.wait()  # it says what can be reached last
         identified, validated, analysed = done[_MODELS]
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
         payload = {name: heard for name in names if (heard := done[name].payload) is not None}
@@ -329,10 +334,6 @@ class Stages(ModelStages):
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
 
-    def _beside(self, job: str, wanted: bool, *words: str) -> AbstractContextManager[Said]:
-        """Return a process that leaves stages in this folder while this one goes on."""
-        return working_beside(self.cache, job, wanted and self.study.blending is None, *words)
-
 
 @dataclass(frozen=True)
 class _Controller:
@@ -348,3 +349,11 @@ class _Controller:
 def _ended_softly(bench: Any) -> AbstractContextManager[None]:
     """Return a block in whose threads a signal that ends the process brings a guarded bench to rest before."""
     return DEPARTURE.holding(isinstance(getattr(bench, "interlocks", None), Interlocks))
+
+
+def _found_last(designs: Said, names: Sequence[str]) -> None:
+    """Let the processes beside find what can be reached, once they have said all laws."""
+    for name in names:
+        designs.wait(name)
+    designs.begin()
+    designs.wait()

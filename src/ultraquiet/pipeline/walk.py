@@ -19,7 +19,7 @@ from ultraquiet.pipeline import control, preflight, study
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making.models import Say
-from ultraquiet.pipeline.making.processes import working_beside
+from ultraquiet.pipeline.making.processes import identifying_beside
 from ultraquiet.pipeline.mission.campaign import How
 from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
@@ -172,7 +172,7 @@ def prepared(
     with locked(folder, say) as lock, _on_a_disk(folder), ExitStack() as processes:
         sweep(folder)
         _require_space(folder)
-        cache, ahead = Cache(folder, say, lock), Said(ended=True)
+        cache, ahead = Cache(folder, say, lock), Said()
         if listed is None:
             copies = Copies(read, folder)
             copies.claim()
@@ -189,7 +189,7 @@ def prepared(
                 say(sentence)
             calculated = getattr(bench, "side_by_side", False) and blending is None
             wanted = identified and calculated and store.missing_samples >= LONG_SAMPLES
-            ahead = processes.enter_context(working_beside(cache, "identify", wanted))
+            ahead = processes.enter_context(identifying_beside(cache, wanted))
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if blending is not None:

@@ -79,14 +79,24 @@ def by_need(study: Study) -> list[str]:
     """Return the names of a study's controllers, the one of which something is required among the first two.
 
     What is required takes the longest to design, mostly, and to measure. Before it there is one other law, whose loop
-    is measured meanwhile. A law that is put round another comes after that.
+    is measured meanwhile; after it come those that are sought with a given peak, which take longer than others: what is
+    begun last is alone on a processor. A law that is put round another comes after that.
     """
-    asked = study.requirements
-    first, *others = sorted(study.controllers, key=lambda name: asked is None or name != asked.law)
+    asked, controllers = study.requirements, study.controllers
+    first, *others = sorted(controllers, key=lambda name: asked is None or name != asked.law)
+    before, after = (others[:1], others[1:]) if asked is not None else ([], others)
     ordered: list[str] = []
-    for name in [*others[:1], first, *others[1:]] if asked is not None else [first, *others]:
-        ordered += [each for each in reversed(inside(study.controllers, name)) if each not in ordered]
+    for name in [*before, first, *sorted(after, key=lambda name: "peak_db" not in controllers[name].design.settings)]:
+        ordered += [each for each in reversed(inside(controllers, name)) if each not in ordered]
     return ordered
+
+
+def chains(study: Study) -> list[list[str]]:
+    """Return the names of `by_need`, laws that stand round one another together, the innermost first."""
+    found: dict[str, list[str]] = {}
+    for name in by_need(study):
+        found.setdefault(inside(study.controllers, name)[-1], []).append(name)
+    return list(found.values())
 
 
 def takes_several(settings: Design) -> bool:

@@ -1,29 +1,32 @@
 """Stages of a study folder, made beside the process that walks the study; each is left in the folder.
 
 `python -m ultraquiet.pipeline.making.worker identify FOLDER` identifies the records: it makes itself ready, and begins
-when it is told so. `design FOLDER PLAN UNIT ...` designs the controllers, each said by its name when it is there, and
-then finds the limits; PLAN is a `LoopPlan` in JSON, units are those whose models the designs are given besides.
+when it is told so. `design FOLDER NUMBERS PLAN UNIT ...` designs the controllers, each said by its name when it is
+there, and finds the limits once it is told that all are. NUMBERS is an open file, from which it takes what is its own
+to do: numbers of `chains`, and one more for the limits. PLAN is a `LoopPlan` in JSON, units are those whose models the
+designs are given besides.
 """
 
 import json
 import sys
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from threading import Event
 
 from ultraquiet import files
-from ultraquiet._base.beside import TICKS, Ticks, end_with_parent, tell
+from ultraquiet._base.beside import TICKS, Ticks, end_with_parent, tell, turns
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.progress import listening
 from ultraquiet._base.threads import one_blas_thread
 from ultraquiet.pipeline import identification, limits
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import from_plain
-from ultraquiet.pipeline.making.designs import by_need, design_stage, identify_stage
+from ultraquiet.pipeline.making.designs import by_need, chains, design_key, design_stage, identify_stage
 from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.store.recorded import finished_names
-from ultraquiet.pipeline.study import reload_study
+from ultraquiet.pipeline.study import Study, reload_study
 from ultraquiet.values import Record, StateSpace
 
 AT_ONCE_S = 0.1  # within which it is told to begin where the records are there already
@@ -40,21 +43,51 @@ def identify(folder: Path, begun: Event) -> None:
         identify_stage(Cache(folder, tell), reload_study(folder), records)
 
 
-def design(folder: Path, plan: LoopPlan, units: list[str]) -> None:
+def design(folder: Path, numbers: Iterable[int], plan: LoopPlan, units: list[str], begun: Event) -> None:
     """Leave the stages of the designs and of the limits in the folder; whatever fails is left to who asks for it."""
-    study, cache = reload_study(folder), Cache(folder, tell)
-    plant = _model(folder, stored.PLANT)
-    others = {unit: _model(folder, identification.of_unit(unit)) for unit in units}
-    laws: dict[str, StateSpace] = {}
-    for name in by_need(study):
-        settings = study.controllers[name]
+    study = reload_study(folder)
+    makes = _Designs(study, Cache(folder, tell), folder, plan, units)
+    jobs = chains(study)
+    for number in numbers:
+        if number < len(jobs):
+            makes.chain(jobs[number])
+        else:
+            begun.wait()
+            makes.limits()
+
+
+class _Designs:
+    """The designs of a study, and their limits."""
+
+    def __init__(self, study: Study, cache: Cache, folder: Path, plan: LoopPlan, units: list[str]) -> None:
+        self._study, self._cache, self._plan = study, cache, plan
+        self._plant = _model(folder, stored.PLANT)
+        self._others = {unit: _model(folder, identification.of_unit(unit)) for unit in units}
+
+    def chain(self, names: list[str]) -> None:
+        """Make laws that stand round one another."""
+        laws: dict[str, StateSpace] = {}
+        for name in names:
+            with suppress(UltraquietError):
+                laws |= self._made(name, laws)
+            print(name, TICKS // (1 + len(self._study.controllers)), sep="\n", flush=True)
+
+    def limits(self) -> None:
+        """Find the limits, all laws being there that will be."""
+        laws: dict[str, StateSpace] = {}
+        for name in by_need(self._study):
+            around = laws.get(self._study.controllers[name].around or "")
+            key = design_key(self._plant, self._study.controllers[name], self._plan, self._others, around)
+            if self._cache.holds(f"design-{name}", key):
+                laws |= self._made(name, laws)
+        known = {name: laws[name] for name in self._study.controllers if name in laws}
         with suppress(UltraquietError):
-            around = laws.get(settings.around or "")
-            laws |= design_stage(cache, name, settings, plant, plan, others, around).values
-        print(name, TICKS // (1 + len(study.controllers)), sep="\n", flush=True)
-    with suppress(UltraquietError):
-        known = {name: laws[name] for name in study.controllers if name in laws}
-        limits.stage(cache, study.limits, plant, known, plan.band_hz)
+            limits.stage(self._cache, self._study.limits, self._plant, known, self._plan.band_hz)
+
+    def _made(self, name: str, laws: dict[str, StateSpace]) -> Mapping[str, StateSpace]:
+        settings = self._study.controllers[name]
+        around = laws.get(settings.around or "")
+        return design_stage(self._cache, name, settings, self._plant, self._plan, self._others, around).values
 
 
 def _model(folder: Path, name: str) -> StateSpace:
@@ -67,7 +100,7 @@ def main(job: str, folder: Path, words: list[str], begun: Event) -> None:
         identify(folder, begun)
         return
     with one_blas_thread():
-        design(folder, from_plain(LoopPlan, json.loads(words[0])), words[1:])
+        design(folder, turns(int(words[0])), from_plain(LoopPlan, json.loads(words[1])), words[2:], begun)
 
 
 if __name__ == "__main__":
