@@ -135,6 +135,7 @@ def test_a_level_that_cannot_be_reached(rate):
         assert "no controller reaches level" in result.status.sentence
 
 
+@pytest.mark.draws(false_alarm=1e-3)  # 4 of 400 other controllers lie within 0.04 of it: of 4000 so one within 1e-3
 def test_an_ill_posed_loop_at_one_level_is_mended_by_the_other_route(rng):
     """D22 = -1 / Dk, with Dk of the central controller of the problem without D22: I - D22 Dk is singular.
 

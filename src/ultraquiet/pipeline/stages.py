@@ -47,11 +47,8 @@ from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
 FAR = 2  # so many designs are worth a process of their own
-_OPEN, _MODELS, _LIMITS = (
-    "the open loops",
-    "the models",
-    "the limits",
-)  # what is done beside the controllers, none of which is called so
+# What is done beside the controllers, none of which is called so.
+_OPEN, _MODELS, _LIMITS = "the open loops", "the models", "the limits"
 Adapting = Callable[[], Controller | None]  # makes what runs where a law adapts
 
 
