@@ -190,6 +190,12 @@ records = ["push"]
 [controllers.calm.design]
 method = "lqg"
 """
+# Under `nohup` a child would be born with HUP ignored, as these tests are, and rightly go on.
+HEARING = """
+import runpy, signal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+runpy.run_module("ultraquiet", run_name="__main__", alter_sys=True)
+"""
 PUSHES = """
 [[commands]]
 do = "excite"
@@ -206,7 +212,7 @@ def test_a_run_that_is_ended_while_it_closes_a_loop_leaves_a_guarded_bench_at_re
     """Loops are closed in threads, which no signal reaches by itself."""
     for name, text in (("rig.py", RIG), ("study.toml", ON_THE_RIG), ("list.toml", PUSHES)):
         (tmp_path / name).write_text(text)
-    command = [sys.executable, "-m", "ultraquiet", "run", "study.toml", "--out", "out"]
+    command = [sys.executable, "-c", HEARING, "run", "study.toml", "--out", "out"]
     with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
         until = time.monotonic() + 120
         while not (tmp_path / "out/stages/design-calm.json").exists() or not moving(tmp_path / "sent", 4000):
