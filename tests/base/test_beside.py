@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from threading import Event
 
 import pytest
@@ -132,6 +133,7 @@ begun.wait()
 """
 
 
+@contextmanager
 def shared(tmp_path, monkeypatch, fatal):
     """Two processes that take forty numbers and then wait for a word; one ends where it comes to `fatal`."""
     (tmp_path / "shared_work.py").write_text(SHARED)
@@ -144,7 +146,7 @@ def shared(tmp_path, monkeypatch, fatal):
 
 @pytest.mark.usefixtures("two_processors")
 def test_processes_take_every_number_once(tmp_path, monkeypatch):
-    for said in shared(tmp_path, monkeypatch, -1):
+    with shared(tmp_path, monkeypatch, -1) as said:
         for number in range(40):
             said.wait(f"job {number}")
         assert not said.ended  # both are there: one alone would wait as well, and one word would not end two
@@ -156,7 +158,7 @@ def test_processes_take_every_number_once(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("two_processors")
 def test_nobody_waits_for_what_a_process_that_failed_had_taken(tmp_path, monkeypatch):
-    for said in shared(tmp_path, monkeypatch, 30):
+    with shared(tmp_path, monkeypatch, 30) as said:
         said.wait("job 30")
         assert said.ended
         assert "job 30" not in said._words

@@ -21,7 +21,6 @@ from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.store import entry
 from ultraquiet.pipeline.study import parse
 
-pytestmark = pytest.mark.slow  # two processes and limits of three seconds each
 PLAN = LoopPlan(("bench",), (12.0,), 1.0, 2.0, (8.0, 40.0))
 STUDY = """
 [study]
@@ -84,6 +83,7 @@ def said(folder):
     return made(folder)
 
 
+@pytest.mark.slow  # a process or two, and limits of three seconds each
 def test_every_stage_is_the_one_the_walk_looks_for(folder, said):
     study = uq.pipeline.study.reload_study(folder)
     assert [word for word in said if word in study.controllers] == by_need(study) == ["calm", "asked", "none"]
@@ -101,6 +101,7 @@ def test_every_stage_is_the_one_the_walk_looks_for(folder, said):
     assert (folder / "stages" / "limits.json").read_bytes() == before  # found, not computed again
 
 
+@pytest.mark.slow  # a process or two, and limits of three seconds each
 def test_what_was_changed_by_hand_is_told_to_who_began_the_process(folder, said):
     assert not any(word.startswith(SENTENCE) for word in said)
     law = folder / "controllers" / "calm.h5"
@@ -111,6 +112,7 @@ def test_what_was_changed_by_hand_is_told_to_who_began_the_process(folder, said)
     assert uq.files.load(law).hash == before
 
 
+@pytest.mark.slow  # a process or two, and limits of three seconds each
 def test_processes_share_the_laws_and_one_of_them_finds_the_limits(folder, said, tmp_path):
     place = tmp_path / "shared"
     (place / "models").mkdir(parents=True)

@@ -26,7 +26,7 @@ from ultraquiet.pipeline.making.designs import by_need, chains, design_key, desi
 from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.store.recorded import finished_names
-from ultraquiet.pipeline.study import Study, reload_study
+from ultraquiet.pipeline.study import Design, Study, reload_study
 from ultraquiet.values import Record, StateSpace
 
 AT_ONCE_S = 0.1  # within which it is told to begin where the records are there already
@@ -76,8 +76,8 @@ class _Designs:
         """Find the limits, all laws being there that will be."""
         laws: dict[str, StateSpace] = {}
         for name in by_need(self._study):
-            around = laws.get(self._study.controllers[name].around or "")
-            key = design_key(self._plant, self._study.controllers[name], self._plan, self._others, around)
+            settings, around = self._table(name, laws)
+            key = design_key(self._plant, settings, self._plan, self._others, around)
             if self._cache.holds(f"design-{name}", key):
                 laws |= self._made(name, laws)
         known = {name: laws[name] for name in self._study.controllers if name in laws}
@@ -85,9 +85,13 @@ class _Designs:
             limits.stage(self._cache, self._study.limits, self._plant, known, self._plan.band_hz)
 
     def _made(self, name: str, laws: dict[str, StateSpace]) -> Mapping[str, StateSpace]:
-        settings = self._study.controllers[name]
-        around = laws.get(settings.around or "")
+        settings, around = self._table(name, laws)
         return design_stage(self._cache, name, settings, self._plant, self._plan, self._others, around).values
+
+    def _table(self, name: str, laws: Mapping[str, StateSpace]) -> tuple[Design, StateSpace | None]:
+        """Return a law's table, and the law inside it."""
+        settings = self._study.controllers[name]
+        return settings, laws.get(settings.around or "")
 
 
 def _model(folder: Path, name: str) -> StateSpace:
