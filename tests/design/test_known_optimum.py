@@ -6,6 +6,7 @@ import pytest
 from ultraquiet.analyse import disk_margin, hinf_norm
 from ultraquiet.design import MixedSensitivity, synthesize_hinf
 from ultraquiet.design.gain_search import about_kept, margin_kept, surely_less
+from ultraquiet.design.hinf import gamma_search
 from ultraquiet.design.hinf.coprime_stabilisation import central_law, smallest_norm
 from ultraquiet.design.hinf.gamma_search import search
 from ultraquiet.design.hinf.problem.units import even_problem
@@ -90,6 +91,24 @@ def test_a_level_that_was_expected_is_shown_by_two_probes(seed):
     assert not bracket.best.reason
     assert bracket.reason
     assert bracket.below < known < bracket.best.gamma
+
+
+def test_a_search_ends_at_one_level_whatever_it_tried_before(seed, monkeypatch):
+    """What a machine rounds otherwise sends secants elsewhere: here each goes anywhere inside the bracket."""
+    G = drawn(np.random.default_rng(seed), (2, 2), None)
+    P = problem(G)
+    even = even_problem(P, 2, 2)
+    plant = Verifier(P, even, even.plant, 2, 2).plant
+    found = search(plant, 0.0025)
+    rng = np.random.default_rng(seed)
+    monkeypatch.setattr(gamma_search, "_root", lambda tried, measure, low, high: rng.uniform(low, high))
+    tried = set()
+    for _ in range(5):
+        again = search(plant, 0.0025)
+        tried.add(again.probes)
+        assert again.best.gamma == pytest.approx(found.best.gamma, rel=1e-12)
+        assert again.below == pytest.approx(found.below, rel=1e-12)
+    assert len(tried) > 1
 
 
 def test_nothing_is_expected_where_no_law_stabilises():

@@ -19,8 +19,37 @@ REGULAR = 1e-7  # of the trace, added to the X that others are measured by
 PATIENCE = 3  # probes in which the bracket must halve, or bisection takes over
 BLURRED = 1e-4  # tolerance once an equation cannot be solved though its bound allows it: round-off is near
 UNDECIDED = 2e-5  # the same once one is solved, but not to the sign of its solution
-OVERSHOOT = 0.4  # of the tolerance, to the far side of the root, so that the bracket closes from both ends
+OVERSHOOT = 0.4  # of the tolerance, to either side of a level that is expected
+ON_STEP = 1e-3  # of a step: a level this near to one of the ladder is on it
 OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds it at one frequency"
+
+
+class Ladder(NamedTuple):
+    """The levels that a search may end at: origin (1 + ratio)^k for whole k.
+
+    A bracket that closes anywhere depends on what was tried before, and so on the last digit of every measure: what a
+    machine rounds otherwise would change the level by the whole width. Between two steps of one ladder it cannot.
+    """
+
+    origin: float
+    ratio: float
+
+    def level(self, k: int) -> float:
+        """Return the level of a step."""
+        return float(self.origin * np.exp(k * np.log1p(self.ratio)))
+
+    def inside(self, low: float, high: float) -> range:
+        """Return the steps strictly between two levels."""
+        below, above = self._step(low), self._step(high)
+        return range(int(np.floor(below + ON_STEP)) + 1, int(np.ceil(above - ON_STEP)))
+
+    def beside(self, level: float, steps: range, upwards: bool) -> int:
+        """Return the step next above or below a level, among those given."""
+        k = int(np.ceil(self._step(level)) if upwards else np.floor(self._step(level)))
+        return min(max(k, steps[0]), steps[-1])
+
+    def _step(self, level: float) -> float:
+        return float(np.log(level / self.origin) / np.log1p(self.ratio))
 
 
 class Bracket(NamedTuple):
@@ -54,7 +83,7 @@ def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | N
 
     The bound from frequency responses is tried first; where it is not reached, each way to fail (X or Y turns
     indefinite through infinity, rho(XY) passes gamma^2) has a measure that is smooth and zero at the failure, and the
-    largest of the roots that secants promise is tried next.
+    step of a ladder of levels that is next to the largest of the roots that secants promise is tried next.
     """
     certain = max(riccati.floor(plant), lower_bound(plant).level)
     nought = SMALLEST * _size(plant)
@@ -66,12 +95,12 @@ def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | N
         highest = max(failed, key=lambda t: t.gamma)
         low, reason = highest.gamma, highest.reason
     widths = [best.gamma / max(low, nought)]
-    while not best.reason and best.gamma > low * (1 + tolerance) and len(tried) < PROBES:
-        if best.gamma <= nought * (1 + tolerance):
+    ladder = Ladder(start, tolerance)
+    while not best.reason and best.gamma > max(low, nought) * (1 + tolerance) and len(tried) < PROBES:
+        gamma = _next(tried, max(low, nought), best.gamma, ladder, widths)
+        if np.isnan(gamma):
             break
-        level = riccati.attempt(
-            plant, _next(tried, max(low, nought), best.gamma, tolerance, widths), reason.startswith("filter")
-        )
+        level = riccati.attempt(plant, gamma, reason.startswith("filter"))
         tried.append(level)
         if level.reason:
             low, reason = level.gamma, level.reason
@@ -134,9 +163,12 @@ def _around(
     return best, tried
 
 
-def _next(tried: list[riccati.Level], low: float, high: float, tolerance: float, widths: list[float]) -> float:
-    """Return the next level to try, inside (low, high)."""
-    middle = float(np.sqrt(low * high))
+def _next(tried: list[riccati.Level], low: float, high: float, ladder: Ladder, widths: list[float]) -> float:
+    """Return the next level to try, a step of the ladder inside (low, high); nan where none is left."""
+    steps = ladder.inside(low, high)
+    if not steps:
+        return float("nan")
+    middle = ladder.level(steps[len(steps) // 2])
     if len(widths) > PATIENCE and np.log(widths[-1]) > np.log(widths[-1 - PATIENCE]) / 2:
         return middle
     nearest = sorted(tried, key=lambda t: min(abs(np.log(t.gamma / low)), abs(np.log(t.gamma / high))))[:NEAREST]
@@ -145,9 +177,8 @@ def _next(tried: list[riccati.Level], low: float, high: float, tolerance: float,
     roots = [r for m in measures if np.isfinite(r := _root(nearest, m, low, high))]
     if not roots:
         return middle
-    edge = OVERSHOOT * tolerance
-    guess = max(roots) * (1 + edge * (1 if tried[-1].reason else -1))
-    return float(np.clip(guess, low * (1 + edge), high * (1 - edge)))
+    # to the far side of the root, so that the bracket closes from both ends
+    return ladder.level(ladder.beside(max(roots), steps, upwards=bool(tried[-1].reason)))
 
 
 def _root(tried: list[riccati.Level], measure: Callable[[riccati.Level], float], low: float, high: float) -> float:
