@@ -21,6 +21,7 @@ BLURRED = 1e-4  # tolerance once an equation cannot be solved though its bound a
 UNDECIDED = 2e-5  # the same once one is solved, but not to the sign of its solution
 OVERSHOOT = 0.4  # of the tolerance, to either side of a level that is expected
 ON_STEP = 1e-3  # of a step: a level this near to one of the ladder is on it
+WITHIN = 1 - 1e-9  # of the tolerance is a step wide, so that no rounding makes a bracket of one step wider
 OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds it at one frequency"
 
 
@@ -88,14 +89,14 @@ def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | N
     certain = max(riccati.floor(plant), lower_bound(plant).level)
     nought = SMALLEST * _size(plant)
     low, reason = certain, OUT_OF_REACH
-    start = max(certain * (1 + tolerance), nought)
+    ladder = Ladder(max(certain * (1 + WITHIN * tolerance), nought), WITHIN * tolerance)
+    start = ladder.origin
     best, tried = _first(plant, start) if expected is None else _around(plant, expected, start, tolerance)
     failed = [t for t in tried if t.reason and t.gamma <= best.gamma]
     if failed:
         highest = max(failed, key=lambda t: t.gamma)
         low, reason = highest.gamma, highest.reason
     widths = [best.gamma / max(low, nought)]
-    ladder = Ladder(start, tolerance)
     while not best.reason and best.gamma > max(low, nought) * (1 + tolerance) and len(tried) < PROBES:
         gamma = _next(tried, max(low, nought), best.gamma, ladder, widths)
         if np.isnan(gamma):
