@@ -144,11 +144,10 @@ def test_even_units_of_a_problem_stand_still(rng, u, y):
 def test_poles_that_every_channel_repeats_are_put_together_where_no_level_was_solved(u, y):
     """Delays and the weights of two channels: eigenvectors anywhere in their spaces, cond 1e7.
 
-    The level is the same step of one ladder in all units; in coordinates of this condition responses are known to 6e-6
-    of themselves (the bound from them, against that of the plant as it is given), and the norm to what a search says
-    of levels at which round-off is near.
+    In coordinates of this condition responses are known to 6e-6 of themselves (the bound from them, against that of the
+    plant as it is given), equations fail that could be solved, and the level to what a search says where that is so.
     """
     plant = ordinary(np.random.default_rng(4207922909), (2, 2), modes=3)
     found = uq.design.MixedSensitivity(form="sks").design(scaled(plant, u, y))
     print(f"{found.gamma:.6f}")
-    assert found.gamma == pytest.approx(9.34418, rel=BLURRED)
+    assert found.gamma == pytest.approx(9.3395, rel=BLURRED)
