@@ -221,6 +221,13 @@ def test_drawn_plants_stay_stable_and_near(seed):
         np.testing.assert_allclose(other.frequency_response([f]), plant.frequency_response([f]), rtol=1e-8)
 
 
+def test_delays_that_rounding_made_a_pair_stay_where_they_are():
+    """Two eigenvalues of 1e-32: no frequency, which a warning of a division by zero told."""
+    plant = ordinary(np.random.default_rng(3008434578), (2, 2), modes=3)
+    band = (0.001 * plant.rate_hz, 0.1 * plant.rate_hz)
+    assert all(other.is_stable() for other in perturbed(plant, 3, 0.1, 0.03, np.random.default_rng(3008434578), band))
+
+
 def test_channels_of_drawn_plants_are_off_by_the_spread_at_most_in_gain_and_phase(seed):
     plant, spread = ordinary(np.random.default_rng(seed), (4, 3), modes=3), 0.12
     f = np.geomspace(1e-4, 0.49, 60) * plant.rate_hz

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.frames import OVERLAP, Frames
 from ultraquiet.simulate.free_response import CERTAIN, LEAKED, RESOLUTION, ROUNDING, WIDE, Mode, hz_of, turned
+from ultraquiet.simulate.growth.coincident import widened
 from ultraquiet.simulate.kick import FreeResponse
 
 # Frames so many steps apart share next to nothing of a window this steep.
@@ -183,7 +184,7 @@ def growths(
         x, w = (along @ part[..., skipped - APART :] for part in (response, noise))
         steps = _Steps(x, w, used[:, None, skipped - APART :], line == 0 or power > HEARD * hum)
         if steps.lasting:
-            return _modes(frames, line, steps, floor)
+            return _modes(frames, line, steps, floor, len(left))
         order -= 1
     return ()
 
@@ -248,7 +249,7 @@ class _Steps:
         return [(part[..., APART + 1 :] - z @ part[..., APART:-1]) * counted for part in (self.x, self.w)]
 
 
-def _modes(frames: Frames, line: int, steps: _Steps, floor: float) -> tuple[Mode, ...]:
+def _modes(frames: Frames, line: int, steps: _Steps, floor: float, channels: int) -> tuple[Mode, ...]:
     """Return the modes of one band from the steps of its directions."""
     after, held, spread, _ = steps.moments
     inverse = np.linalg.inv(held)
@@ -259,6 +260,7 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float) -> tuple[Mode
     students = _students(2 * share * errors[0][:, 0].size)
     per_s = frames.rate_hz / frames.hop
     found: list[Mode] = []
+    kept: list[complex] = []
     for pole, shape, row in zip(poles, shapes.T, np.linalg.inv(shapes), strict=True):
         if not abs(pole) > 0 or abs(turned(frames, line, pole)) > WIDE * np.pi / 2:
             continue
@@ -273,7 +275,10 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float) -> tuple[Mode
         deviation = float(np.hypot(students * deviation, max(disagree - deviation, 0.0)))
         seen = size / max(hum, ROUNDING * size)
         found.append(Mode(growth, deviation, hz_of(frames, line, complex(pole)), seen))
-    return tuple(sorted(found, key=lambda mode: -mode.growth_per_s))
+        kept.append(complex(pole))
+    rates = np.array([np.log(pole) * per_s for pole in kept], dtype=np.complex128)
+    modes = widened(found, rates, channels, real=line == 0)
+    return tuple(sorted(modes, key=lambda mode: -mode.growth_per_s))
 
 
 def _students(values: float) -> float:

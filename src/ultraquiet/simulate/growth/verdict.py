@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import ROUNDING, Mode, ringing
+from ultraquiet.simulate.growth.coincident import ABOVE_DRIFT
 from ultraquiet.simulate.growth.together import powers, rise
 from ultraquiet.simulate.kick import FreeResponse, near
 from ultraquiet.values import StatusWord
@@ -24,8 +25,8 @@ GROWTH_LIMIT = 3.0
 # does as it likes.
 ADDED, RUNG_UP = 20.0, 4.0
 # Readings may wander, and what wanders looks like growth at 0 Hz: within one record that is believed from so many
-# e-folds on, so many times above the noise, which wanders too; less is left to several records together.
-UNDRIFTED, ABOVE_DRIFT = 6.0, 10.0
+# e-folds on, well above the noise, which wanders too; less is left to several records together.
+UNDRIFTED = 6.0
 # Tones of one burst at most.
 MOST_TONES = 12
 

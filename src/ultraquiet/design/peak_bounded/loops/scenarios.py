@@ -78,6 +78,8 @@ def _moved(plant: StateSpace, knots: FloatArray) -> StateSpace:
         if size != 2 or block[0, 1] * block[1, 0] >= 0:
             continue
         values = np.linalg.eigvals(block).astype(np.complex128)
+        if values[0].imag == 0:  # delays, of which rounding made a pair
+            continue
         new = _elsewhere(values, knots, plant.rate_hz)
         # a real function of the block that has these eigenvalues: block' = x + y block
         y = (new[0] - new[1]) / (values[0] - values[1])
