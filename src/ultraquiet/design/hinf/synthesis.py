@@ -163,12 +163,22 @@ def _synthesised(P: StateSpace, ny: int, nu: int, sought: SoughtLevel, regularis
     sentence = out_of_reach(even, ny, nu)
     if sentence:
         return refused(sentence)
-    result = _solved(P, problem, even, ny, nu, sought)
+    # what is taken off moves a zero, and one on the boundary off it
+    sentence = _whole_zeros(P, problem, ny, nu) if hidden else ""
+    result = refused(sentence) if sentence else _solved(P, problem, even, ny, nu, sought)
     if hidden and not result.status.ok:
-        hidden, result = 0, _solved(P, problem, problem.plant, ny, nu, sought)
+        hidden, result = 0, result if sentence else _solved(P, problem, problem.plant, ny, nu, sought)
     if regularise and not result.status.ok:
         result = _completed(result, P, problem, even, ny, nu, sought)
     return _told(result, hidden) if hidden else result
+
+
+def _whole_zeros(P: StateSpace, problem: EvenProblem, ny: int, nu: int) -> str:
+    """Return what `zeros_on_boundary` says of a problem with all its states; empty where they cannot be normalised."""
+    try:
+        return zeros_on_boundary(Verifier(P, problem, problem.plant, ny, nu).plant, P.rate_hz)
+    except NumericalError:
+        return ""
 
 
 def _solved(
