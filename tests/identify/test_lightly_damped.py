@@ -71,6 +71,8 @@ def test_other_channels_and_units(name, given):
     assert len(missed) <= 1
 
 
+# A mode just above what its record tells is missing in 3 of 200 plants, and no test of the verdict hears it.
+@pytest.mark.draws(false_alarm=0.04)
 @pytest.mark.parametrize("units", [(1.0, 1.0), (1e6, 1e-9)])
 def test_a_predictor_finds_modes_longer_than_any_past(rng, units):
     """White noise at the outputs: the predictor's memory is the plant's, thousands of samples here."""

@@ -44,12 +44,14 @@ def test_the_slow_plant_is_exact(case, shape, rng):
 @pytest.mark.three_draws
 @pytest.mark.parametrize("case", [(4, 2, None), (4, 2, 1), (5, 1, 2)], ids=str)
 def test_a_record_with_free_commands_holds_the_plant_that_a_controller_meets(case, rng):
-    """Of commands that moved at the full rate: within 0.1 % of the peak, but for the images that a hold would add."""
+    """Of commands that moved at the full rate: within 0.01 % of the peak, but for the images that a hold would add."""
     decimation = Decimation(*case)
     A = np.array([[0.85, 0.25], [-0.25, 0.85]])
     plant = StateSpace(A, [[0.1], [1.0]], [[0.3, 0.0]], [[0.0]], 8000.0)
     size = 256
-    u = np.tile(rng.standard_normal((1, size * decimation.factor)), 3)
+    # every line as loud, of any phase: beside one that is drawn faint, what images leave would be as large as itself
+    lines = np.exp(2j * np.pi * rng.random(size * decimation.factor // 2 + 1))
+    u = np.tile(np.fft.irfft(lines)[None], 3)
     slow = decimation.record(Record(u, plant.simulate(u), 8000.0))
     assert slow.provenance.settings["held"] is False
     sent, heard = (np.fft.rfft(x[0, -size:]) for x in (slow.inputs, slow.outputs))  # steady: no leakage
@@ -64,7 +66,7 @@ def test_a_record_with_free_commands_holds_the_plant_that_a_controller_meets(cas
     miss, images = np.abs(seen - bare) / peak, np.abs(true - bare) / peak
     low = f[inside] < 0.1 * slow.rate_hz
     print(f"{case}: worst {miss.max():.3%} of the peak, images {images.max():.3%}, low {images[low].max():.3%}")
-    assert miss.max() < 0.001
+    assert miss.max() < 1e-4
     assert images[low].max() < (0.002 if decimation.averages > 1 else 0.02)
 
 
