@@ -27,13 +27,15 @@ def test_the_largest_eigenvalue_passes_a_level_as_often_as_is_said(count, real):
 
 @pytest.mark.parametrize("real", [True, False])
 def test_the_level_of_many_is_as_rare_as_that_of_one(real):
-    levels = [farthest_of(count, real) for count in range(1, 7)]
+    counts = [*range(1, 7), 16, 64, 99]
+    levels = [farthest_of(count, real) for count in counts]
     print(np.round(levels, 3))
     assert levels[0] == CERTAIN
     assert np.all(np.diff(levels) > 0)
     passed = _real_passed if real else _complex_passed
-    for count, level in enumerate(levels[1:], start=2):
+    for count, level in zip(counts[1:], levels[1:], strict=True):
         assert passed(count, level) == pytest.approx(ndtr(-CERTAIN), rel=1e-9)
+    assert levels[-1] < farthest_of(100, real) < farthest_of(1000, real)
 
 
 def test_only_modes_that_are_alike_are_known_less_well():

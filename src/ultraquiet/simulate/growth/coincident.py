@@ -14,7 +14,8 @@ from scipy.special import ndtr
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.free_response import CERTAIN, Mode
 
-FARTHEST = 20.0  # deviations, beyond any that so few modes ask for
+MANY = 100  # of so many or more the sums below lose their digits, and a bound does
+FAR = 20.0  # beyond a level nothing is left to count
 ABOVE_DRIFT = 10.0  # times the noise: below it what is heard at 0 Hz may be what wanders in all readings
 
 
@@ -48,12 +49,18 @@ def farthest_of(count: int, real: bool) -> float:
     Args:
         count: order of the matrices, whose diagonal has unit variance and the rest half of it.
         real: whether the matrices are real or complex Hermitian.
+
+    The mean is below the edge of the spectrum, and by so many deviations more nothing is passed more often (Borell's
+    inequality, Adler and Taylor 2007, section 2.1).
     """
     if count == 1:
         return CERTAIN
+    edge = float(np.sqrt((2 if real else 4) * count))
+    if count >= MANY:
+        return edge + CERTAIN
     passed = _real_passed if real else _complex_passed
     rare = float(ndtr(-CERTAIN))
-    level: Any = brentq(lambda level: np.log(passed(count, level) / rare), CERTAIN, FARTHEST)
+    level: Any = brentq(lambda level: np.log(passed(count, level) / rare), edge, edge + CERTAIN)
     return float(level)
 
 
@@ -88,7 +95,7 @@ def _complex_passed(count: int, level: float) -> float:
 
     Mehta 2004, Random Matrices, 3rd ed., section 6.2, in units of a diagonal of unit variance.
     """
-    x = np.linspace(level, level + FARTHEST, 20001) / np.sqrt(2.0)
+    x = np.linspace(level, level + FAR, 20001) / np.sqrt(2.0)
     before, last = np.zeros_like(x), np.pi**-0.25 * np.exp(-(x**2) / 2)
     total: FloatArray = last**2
     for k in range(1, count):
