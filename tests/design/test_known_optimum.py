@@ -57,7 +57,7 @@ def test_the_known_optimum_is_the_one_that_is_found(seed, shape, rate_hz, stable
     assert again.status.ok, again.status
     assert below <= known <= optimum
     assert again.details["probes"] <= 2
-    assert optimum / below - 1 <= 0.0025  # a twentieth of the margin, as of every search
+    assert optimum / below - 1 <= 0.0025  # a twentieth of the margin, where another theory tells the optimum
     achieved = hinf_norm(lft(problem(G), again.controller))[0]
     assert achieved == pytest.approx(again.achieved)
     assert known * (1 - FINEST) <= achieved <= 1.05 * optimum
