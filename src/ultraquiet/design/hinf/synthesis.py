@@ -167,7 +167,9 @@ def _synthesised(P: StateSpace, ny: int, nu: int, sought: SoughtLevel, regularis
     sentence = _whole_zeros(P, problem, ny, nu) if hidden else ""
     result = refused(sentence) if sentence else _solved(P, problem, even, ny, nu, sought)
     if hidden and not result.status.ok:
-        hidden, result = 0, result if sentence else _solved(P, problem, problem.plant, ny, nu, sought)
+        hidden = 0
+        if not sentence:
+            result = _solved(P, problem, problem.plant, ny, nu, sought)
     if regularise and not result.status.ok:
         result = _completed(result, P, problem, even, ny, nu, sought)
     return _told(result, hidden) if hidden else result

@@ -260,7 +260,7 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float, channels: int
     students = _students(2 * share * errors[0][:, 0].size)
     per_s = frames.rate_hz / frames.hop
     found: list[Mode] = []
-    kept: list[complex] = []
+    rates: list[complex] = []
     for pole, shape, row in zip(poles, shapes.T, np.linalg.inv(shapes), strict=True):
         if not abs(pole) > 0 or abs(turned(frames, line, pole)) > WIDE * np.pi / 2:
             continue
@@ -275,9 +275,8 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float, channels: int
         deviation = float(np.hypot(students * deviation, max(disagree - deviation, 0.0)))
         seen = size / max(hum, ROUNDING * size)
         found.append(Mode(growth, deviation, hz_of(frames, line, complex(pole)), seen))
-        kept.append(complex(pole))
-    rates = np.array([np.log(pole) * per_s for pole in kept], dtype=np.complex128)
-    modes = widened(found, rates, channels, real=line == 0)
+        rates.append(complex(np.log(complex(pole)) * per_s))
+    modes = widened(found, np.array(rates, dtype=np.complex128), channels, real=line == 0)
     return tuple(sorted(modes, key=lambda mode: -mode.growth_per_s))
 
 
