@@ -134,6 +134,9 @@ def unnoticed(folder, cc, law, planted):
         was, becomes = (re.sub(r"DOWN_U\[\d\]", "", text).strip() for text in (code.splitlines()[number - 1], line))
         if commands_alike and was == becomes:
             reasons.append("all commands go down by the same places")
+        forgets = re.search(r"sum(\d) = D\[\1\]\[j\]", line)
+        if forgets and not law.D[int(forgets[1]), :-1].any():
+            reasons.append("only the last input reaches that command at once")
         small = effects.get(number - 1, 1.0) < 1.0
         why[reasons[0] if reasons else "less than a count" if small else "UNNOTICED"] += 1
         left += [] if reasons or small else [said]

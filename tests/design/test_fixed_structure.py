@@ -81,12 +81,24 @@ def test_static_gain_of_the_helicopter_is_the_published_one(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [None, 20.0])
 def test_order_of_the_plant_reaches_the_riccati_optimum(rng, seed, rate_hz):
-    """With as many states as the plant the optimum over all laws is known, from two Riccati equations."""
+    """With as many states as the plant the optimum over all laws is known, from two Riccati equations.
+
+    The optimum of a drawn problem may be a loop of little margin, which the verdict then says.
+    """
     P = random_problem(rng, 3, rate_hz)
     result = synthesize_structured(P, 1, 1, states=3, starts=4, seed=seed)
-    print(f"order 3, rate {rate_hz}: ratio {result.details['ratio']:.4f}")
-    assert result.status.ok
+    margin = disk_margin_of(P, result.controller)
+    print(f"order 3, rate {rate_hz}: ratio {result.details['ratio']:.4f}, disk margin {margin:.3f}")
+    assert result.status.word == ("ok" if margin >= 0.2 else "fragile")
     assert 1 - 1e-3 < result.details["ratio"] < 1.02
+
+
+def disk_margin_of(P, law) -> float:
+    """Return 1 / ||S - 1/2|| of one loop, S from a disturbance of the last output to that output (Seiler 2020)."""
+    disturbed = np.hstack([np.zeros((P.states, 1)), P.B[:, -1:]])
+    seen = StateSpace(P.A, disturbed, np.vstack([P.C[-1:], P.C[-1:]]), [[1, 0], [1, 0]], rate_hz=P.rate_hz)
+    S = lft(seen, law)
+    return 1 / hinf_norm(StateSpace(S.A, S.B, S.C, S.D - 0.5, rate_hz=S.rate_hz))[0]
 
 
 @pytest.mark.slow

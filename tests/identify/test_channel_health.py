@@ -227,6 +227,17 @@ def test_a_tone_in_step_with_its_sampling_is_no_pile(per_period):
         assert channel_health([record(np.cos(2 * np.pi * t)[None], y)]).named(StatusWord.SATURATED) == ((), ())
 
 
+@pytest.mark.parametrize("periods", [20, 200])
+def test_the_peak_of_a_period_is_no_pile_whatever_noise_makes_of_the_readings_beside_it(periods, rng):
+    period, peak = quantised(rng.standard_normal((1, 1024)), 10, 6.0), slice(500, 503)
+    step = 12.0 / 2**10
+    period[0, peak] = period.max() + 10 * step
+    u, y = np.tile(rng.standard_normal((1, 1024)), periods), np.tile(period, periods)
+    beside = np.tile([peak.start - 1, peak.stop], periods) + np.repeat(1024 * np.arange(periods), 2)
+    y[0, beside] += step * rng.integers(0, 3, beside.size)
+    assert channel_health([record(u, y)]).named(StatusWord.SATURATED) == ((), ())
+
+
 def test_a_pause_and_a_decay_are_no_standstill(rng):
     """Quantised readings rest while nothing is driven, and ring down into their last level."""
     n = 8192

@@ -192,7 +192,8 @@ def true_size(A, B, C, K, f_hz):
 def test_a_loop_that_rings_for_longer_than_its_plant_has_its_peak_found_between_lines(modulus, noise, rng):
     """Two channels that hear nothing of each other: most spectra show nothing at all, and are not waited for.
 
-    What rings below the noise of the last part of a run is not seen: some two deviations more where S is sharpest.
+    The noise of a loop that rings is as sharp as its S, and a run in which nothing is sent does not last long enough to
+    show it. What rings below the noise of the last part of a run is not seen: a deviation more where S is sharpest.
     """
     A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
     for k, (f_hz, damping) in enumerate([(40.0, 0.02), (90.0, 0.1)]):

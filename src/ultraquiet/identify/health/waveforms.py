@@ -18,9 +18,9 @@ ALIKE, BANDS = 0.5, 16
 # Values that a channel must take for a pile at its end to be told from few levels; a tone sampled in step with its
 # period takes fewer.
 DISTINCT = 64
-# Samples that stand at an end next to another such one; in how many stretches that are entered and left each from
-# another value, since the one peak of a periodic signal comes back to the bit; or in how many of what mean length (one
-# alone is a step response that has settled).
+# Samples that stand at an end next to another such one; in how many stretches that are entered or left from values apart
+# from one another, since the one peak of a periodic signal comes back but for noise; or in how many of what mean length
+# (one alone is a step response that has settled).
 PILED, STRETCHES, FEWER, LONG = 10, 5, 3, 8
 # What lies just inside an end, in steps of the converter and as a share of the range: of a pure tone more samples lie
 # there than at its very end.
@@ -88,21 +88,32 @@ def piled_up(x: FloatArray, wire: Channel, beyond: bool = True) -> tuple[int, fl
     width = max(INSIDE_STEPS * float(np.diff(values).min()), INSIDE * float(values[-1] - values[0]))
     for end, declared in ((float(values[-1]), values[-1] >= wire.high), (float(values[0]), values[0] <= wire.low)):
         at = x == end
-        if _in_stretches(x, at) and (declared or (beyond and _more_than_inside(x, end, width))):
+        if _in_stretches(x, at, width) and (declared or (beyond and _more_than_inside(x, end, width))):
             worst = max(worst, (int(np.count_nonzero(at)), end))
     return worst
 
 
-def _in_stretches(x: FloatArray, at: NDArray[np.bool_]) -> bool:
-    """Return whether enough samples of a mask stand side by side, in stretches that tell."""
+def _in_stretches(x: FloatArray, at: NDArray[np.bool_], width: float) -> bool:
+    """Return whether enough samples of a mask stand side by side, in stretches that tell, `width` apart around them."""
     ends = np.diff(np.concatenate([[0], at.astype(np.int8), [0]]))
     starts, stops = np.flatnonzero(ends == 1), np.flatnonzero(ends == -1)
     several = stops - starts > 1
     starts, stops = starts[several], stops[several]
     if np.sum(stops - starts) < PILED:
         return False
-    ways = {(float(x[max(a - 1, 0)]), float(x[min(b, x.size - 1)])) for a, b in zip(starts, stops, strict=True)}
-    return len(ways) >= STRETCHES or (starts.size >= FEWER and float(np.mean(stops - starts)) >= LONG)
+    if starts.size >= FEWER and float(np.mean(stops - starts)) >= LONG:
+        return True
+    around = np.column_stack([x[np.maximum(starts - 1, 0)], x[np.minimum(stops, x.size - 1)]])
+    return _are_apart(around, width, STRETCHES)
+
+
+def _are_apart(points: FloatArray, width: float, count: int) -> bool:
+    """Return whether so many of the points `(n, d)` lie further than `width` from one another, taken in turn."""
+    for _ in range(count - 1):
+        if not len(points):
+            return False
+        points = points[np.abs(points - points[0]).max(axis=1) > width]
+    return len(points) > 0
 
 
 def _more_than_inside(x: FloatArray, end: float, width: float) -> bool:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.open_loop import OpenBand, Runs, noise_rows, still_moving
 from ultraquiet.simulate.sensitivity.neighbours import together
 from ultraquiet.simulate.sweeps.lines import inverted, largest
@@ -70,10 +70,13 @@ class OnePass:
         inverse = inverted(self.answers)
         self.S = Yc @ inverse
         self.response = np.moveaxis(Yc @ inverted(Dc), 0, 2).astype(np.complex128)
-        self.closed_rows = noise_rows(closed, noise) + ROUNDING * np.linalg.norm(Yc, axis=2).T
+        # A quiet run with the law is shorter than its loop may ring, and its lines wider than a peak of S: what the loop
+        # makes of the open noise is known from S itself, line by line.
+        filtered = through(self.S, noise_rows(closed, band.noise))
+        quiet = np.maximum(noise_rows(closed, noise), filtered)
+        self.closed_rows = quiet + ROUNDING * np.linalg.norm(Yc, axis=2).T
         by_open = noise_rows(opened, band.noise)
-        turned = largest(turn)
-        self.opened_rows = turned * np.sqrt(np.einsum("lij,jl->il", np.abs(self.S) ** 2, by_open**2))
+        self.opened_rows = largest(turn) * through(self.S, by_open)
         weakest, both = largest(inverse), largest(self.S) * largest(turn @ inverse)
         self.left = LeftOpen(
             weakest * np.linalg.norm(self.closed_rows, axis=0),
@@ -81,3 +84,8 @@ class OnePass:
             weakest * still_moving(closed),
             both * still_moving(opened),
         )
+
+
+def through(S: ComplexArray, rows: FloatArray) -> FloatArray:
+    """Return the noise that S `(lines, ny, ny)` makes of independent noise `(ny, lines)` at each sensor, likewise."""
+    return np.sqrt(np.einsum("lij,jl->il", np.abs(S) ** 2, rows**2))
