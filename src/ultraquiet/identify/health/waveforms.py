@@ -18,9 +18,9 @@ ALIKE, BANDS = 0.5, 16
 # Values that a channel must take for a pile at its end to be told from few levels; a tone sampled in step with its
 # period takes fewer.
 DISTINCT = 64
-# Samples that stand at an end next to another such one; in how many stretches that are entered or left from values apart
-# from one another, since the one peak of a periodic signal comes back but for noise; or in how many of what mean length
-# (one alone is a step response that has settled).
+# Samples that stand at an end next to another such one; in how many stretches entered or left from values that lie
+# apart, since the one peak of a periodic signal comes back but for noise; or in how many of what mean length (one alone
+# is a step response that has settled).
 PILED, STRETCHES, FEWER, LONG = 10, 5, 3, 8
 # What lies just inside an end, in steps of the converter and as a share of the range: of a pure tone more samples lie
 # there than at its very end.

@@ -70,7 +70,7 @@ class OnePass:
         inverse = inverted(self.answers)
         self.S = Yc @ inverse
         self.response = np.moveaxis(Yc @ inverted(Dc), 0, 2).astype(np.complex128)
-        # A quiet run with the law is shorter than its loop may ring, and its lines wider than a peak of S: what the loop
+        # A quiet run with the law is shorter than its loop may ring, its lines wider than a peak of S: what the loop
         # makes of the open noise is known from S itself, line by line.
         filtered = through(self.S, noise_rows(closed, band.noise))
         quiet = np.maximum(noise_rows(closed, noise), filtered)
