@@ -1,12 +1,13 @@
 """The modes that ring on in a free response, each with its growth and how well that is known."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.frames import FOLD, Frames
+from ultraquiet.simulate.frames import FOLD, OVERLAP, Frames
 
 # A band rings when its amplitude is so many times that of the noise in it; a mode is visible likewise.
 VISIBLE = 3.0
@@ -21,6 +22,9 @@ LEAKED = 1e-19  # of the power of the loudest line: what is less may have leaked
 STANDS_OUT, BROAD, COHERENT = 8.0, 16, 0.45
 RISES = 3.0  # the noise above its surroundings, or the response above the noise: a line where a mode may hide
 REFINEMENTS = 4
+# Frames so many steps apart share next to nothing of a window this steep. A mode keeps this share of itself over so
+# many steps; noise alone does not.
+APART, LASTING = OVERLAP // 2, 0.5
 # A mode that shrinks by this from frame to frame is none that rings, one that grows by this many e-folds within its
 # record none that numbers hold.
 DEAD, WILD = 1e-3, 600.0
@@ -126,6 +130,32 @@ def tones_hz(noise: FloatArray, rate_hz: float) -> tuple[float, ...]:
         return ()
     hum = np.maximum(frames.power(level, frames.count // 2), frames.power(level, 0))
     return _unheard(frames, level, np.zeros_like(hum), hum, 0.0)[0]
+
+
+def lasting_hz(response: FloatArray, noise: FloatArray, f_hz: Iterable[float], rate_hz: float) -> tuple[float, ...]:
+    """Return at which frequencies noise keeps something going that a burst there is not heard above at first.
+
+    What a mode is fed by noise wanders the slower the longer it rings, so that it is a tone as seldom as not; yet a
+    twentieth of the record later most of it is there still.
+    """
+    frames = Frames(response.shape[1], rate_hz)
+    scaled, level = _scaled(response, noise)
+    found = []
+    for f in f_hz if level.size else ():
+        line = round(f / frames.line_hz(1))
+        b, e = (frames.band(x, line) for x in (scaled, level))
+        at_first = np.sum(np.abs(b[:, 0]) ** 2)
+        if at_first < VISIBLE**2 * np.sum(np.abs(e) ** 2) / e.shape[1] and lasts(e):
+            found.append(f)
+    return tuple(found)
+
+
+def lasts(amplitude: ComplexArray) -> bool:
+    """Return whether the loudest direction of a band `(channels, frames)` keeps its share over `APART` frames."""
+    along = np.linalg.svd(amplitude, full_matrices=False)[0][:, 0].conj() @ amplitude
+    later, before = along[APART:], along[:-APART]
+    size = float(np.linalg.norm(later) * np.linalg.norm(before))
+    return bool(np.abs(np.vdot(before, later)) > LASTING * size) if size > 0 else False
 
 
 def _unheard(

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, UltraquietError, blames_no_law
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
+from ultraquiet.simulate.free_response import VISIBLE, Mode, lasting_hz, ringing
 from ultraquiet.simulate.growth.lowered import within_limits
 from ultraquiet.simulate.growth.outside import hums_at_rest, hums_of
 from ultraquiet.simulate.growth.ramps import ramping
@@ -23,10 +23,11 @@ from ultraquiet.simulate.growth.verdict import (
     grows,
     judged,
     may_drift,
+    rings_by_itself,
     rises,
     told,
 )
-from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, swings, tones_alone, with_tones
+from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, near, swings, tones_alone, with_tones
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sweeps.rest import OFFSET
 from ultraquiet.values import StateSpace, Status, StatusWord
@@ -289,13 +290,25 @@ def _before_limits(bench: Bench, law: StateSpace | Controller, burst: Burst, see
 
 
 def _assured(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: Seen) -> Seen:
-    """Return what is seen after tones where noise may hide a mode: silence alone settles nothing."""
+    """Return what is seen after tones where noise may hide a mode: silence alone settles nothing.
+
+    Nor does a tone that is not heard above what noise keeps going there, unless that comes from outside; at 0 Hz
+    readings may wander.
+    """
     if not seen.hidden_hz:
         return seen
     tones = tones_alone(bench, law, burst, apart(seen.hidden_hz, bench.rate_hz / burst.length))
     other = replace(tones, samples=seen.record.response.shape[1])
     again = judged(bench, within_limits(bench, law, other, kicked(bench, law, other))[1])
-    return seen if again.word is StatusWord.OK or again.record.limited > LIMITED_SHARE else again
+    if again.record.limited > LIMITED_SHARE:
+        return seen
+    if again.word is not StatusWord.OK:
+        return again
+    record = again.record
+    known = (0.0, *record.outside_hz)
+    swinging = [f for f in seen.hidden_hz if not near(f, known, record.response.shape[1], bench.rate_hz)]
+    left = lasting_hz(record.response, record.noise, swinging, bench.rate_hz)
+    return replace(seen, word=None, doubtful_hz=left, sentence=rings_by_itself(left)) if left else seen
 
 
 def _heard(bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse) -> Seen:

@@ -141,7 +141,9 @@ def _together(seen: Seen, known: Together) -> Seen:
     )
     if growing is not None:
         return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing))
-    if doubted is not None or drifts or None in bands or (few and () in bands):
+    # a tone of a long record may be too quiet to be heard in shorter ones
+    unheard = () in bands and (few or seen.record.response.shape[1] < seen.longest)
+    if doubted is not None or drifts or None in bands or unheard:
         return seen
     if known.rise > GROWTH_LIMIT:
         return replace(seen, sentence=risen(known.rise))

@@ -9,12 +9,21 @@ from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.frames import OVERLAP, Frames
-from ultraquiet.simulate.free_response import CERTAIN, LEAKED, RESOLUTION, ROUNDING, WIDE, Mode, hz_of, turned
+from ultraquiet.simulate.free_response import (
+    APART,
+    CERTAIN,
+    LASTING,
+    LEAKED,
+    RESOLUTION,
+    ROUNDING,
+    WIDE,
+    Mode,
+    hz_of,
+    turned,
+)
 from ultraquiet.simulate.growth.coincident import widened
 from ultraquiet.simulate.kick import FreeResponse
 
-# Frames so many steps apart share next to nothing of a window this steep.
-APART = OVERLAP // 2
 # Other distances of frames that must tell the same of a mode, within its deviation: where a band holds more modes than
 # directions, each distance makes something else of them.
 OTHERS_APART = (APART + 2, APART + 4, APART + 6)
@@ -23,8 +32,6 @@ HEARD = 3.0
 # A record ends where a command uses this share of its range. A frame's window has next to nothing so many steps before
 # its middle, and nothing so many after it.
 NEARLY, AFTER, FURTHER = 0.8, 3, 5
-# A mode keeps this share of itself over so many steps; noise alone does not.
-LASTING = 0.5
 # A direction of the channels holds a mode when what is heard in it is so many times the most that noise shows in any.
 ABOVE, MOST_TOGETHER = 1.5, 6
 

@@ -1,6 +1,6 @@
 """What one record of a loop's free response says of its stability."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,8 +75,7 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
         # where every mode decays, more records show whether that was chance
         seen = replace(seen, sentence=risen(grown), doubtful_hz=doubtful or _loudest_hz(slowest, heard.hidden_hz))
     elif tones:
-        hz = ", ".join(f"{f:.4g}" for f in tones[:3])
-        seen = replace(seen, sentence=f"It rings near {hz} Hz by itself, no burst allowed is heard above that.")
+        seen = replace(seen, sentence=rings_by_itself(tones))
     elif not doubtful:
         seen = replace(seen, word=StatusWord.OK)
     else:
@@ -137,6 +136,12 @@ def told(mode: Mode) -> str:
     """Return a sentence on a mode."""
     verb = "grows" if mode.growth_per_s > 0 else "decays"
     return f"A mode at {mode.f_hz:.4g} Hz {verb} by {abs(mode.growth_per_s):.3g} +- {mode.growth_std:.1g} a second."
+
+
+def rings_by_itself(f_hz: Sequence[float]) -> str:
+    """Return a sentence on what rings without a burst."""
+    hz = ", ".join(f"{f:.4g}" for f in f_hz[:3])
+    return f"It rings near {hz} Hz by itself, no burst allowed is heard above that."
 
 
 def risen(times: float) -> str:
