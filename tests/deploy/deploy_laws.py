@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg import block_diag, qr
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import fixed_law
+from ultraquiet.deploy import fixed_law, generate_fixed
 from ultraquiet.values import StateSpace
 
 RATE_HZ = 3500.0
@@ -28,6 +28,18 @@ def law_in_words(rng, word, states, inputs=6, outputs=6, quiet=1.0, **settings):
             continue
         return law
     raise AssertionError(f"{word} holds none of {TRIES} drawn laws")
+
+
+def code_in_words(rng, folder, word, states, inputs, outputs, loud=1.0, ramp_s=0.5, **settings):
+    """The code of the first law drawn that a word's length holds and does not drown in its own rounding."""
+    for _ in range(TRIES):
+        law = law_in_words(rng, word, states, inputs, outputs, quiet=loud, **settings)
+        law = StateSpace(law.A, law.B, loud * law.C, loud * law.D, rate_hz=RATE_HZ)
+        try:
+            return generate_fixed(law, folder, word, tolerance=1.0, ramp_s=ramp_s, **settings, **RANGES)
+        except InputError:
+            continue
+    raise AssertionError(f"{word} drowns {TRIES} drawn laws")
 
 
 def random_law(rng, states, inputs=6, outputs=6, mixed=True):

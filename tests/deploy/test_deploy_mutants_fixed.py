@@ -4,11 +4,8 @@ import re
 from collections import Counter
 
 import pytest
-from deploy_laws import RANGES, RATE_HZ, law_in_words
+from deploy_laws import code_in_words
 from test_deploy_mutants import survivors
-
-from ultraquiet.deploy import generate_fixed
-from ultraquiet.values import StateSpace
 
 OTHERS = [
     (r" \+ ", " - "),
@@ -148,10 +145,7 @@ def unnoticed(folder, cc, law, planted):
 # end of a state: of their 316 faults the 6 of one count there go unnoticed, and a third of such laws has one drawn.
 @pytest.mark.draws(false_alarm=0.07)
 def test_self_test_of_whole_numbers_notices_planted_faults(rng, tmp_path, cc):
-    law = law_in_words(rng, "q15", 4, 2, 2, form="modal", scaling="l2")
-    made = generate_fixed(
-        law, tmp_path / "code", "q15", form="modal", scaling="l2", tolerance=1.0, ramp_s=0.004, **RANGES
-    )
+    made = code_in_words(rng, tmp_path / "code", "q15", 4, 2, 2, ramp_s=0.004, form="modal", scaling="l2")
     every = mutants((tmp_path / "code" / "controller.c").read_text())
     drawn = [every[k] for k in rng.choice(len(every), 20, replace=False)]
     assert unnoticed(tmp_path / "code", cc, made.law, drawn) == []
@@ -164,11 +158,7 @@ def test_self_test_of_whole_numbers_notices_planted_faults(rng, tmp_path, cc):
     ("form", "scaling", "loud"), [("modal", "l2", 1.0), ("delta", "l1", 1.0), ("modal", "l1", 8.0)]
 )
 def test_self_test_of_whole_numbers_notices_every_planted_fault(rng, tmp_path, cc, word, form, scaling, loud):
-    law = law_in_words(rng, word, 4, 2, 2, quiet=loud, form=form, scaling=scaling)
-    law = StateSpace(law.A, law.B, loud * law.C, loud * law.D, rate_hz=RATE_HZ)
-    made = generate_fixed(
-        law, tmp_path / "code", word, form=form, scaling=scaling, tolerance=1.0, ramp_s=0.004, **RANGES
-    )
+    made = code_in_words(rng, tmp_path / "code", word, 4, 2, 2, loud, ramp_s=0.004, form=form, scaling=scaling)
     every = mutants((tmp_path / "code" / "controller.c").read_text())
     assert len(every) >= 250
     assert unnoticed(tmp_path / "code", cc, made.law, every) == []

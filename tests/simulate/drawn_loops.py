@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import brentq
 from scipy.special import erfc
 
@@ -21,7 +20,7 @@ class DrawnLoop:
     """A bench, a law that closes it, and the truth.
 
     `growth_per_s` and `f_hz` are those of the slowest pole; `clipped` is the share of the time for which the noise of
-    the readings alone asks a command of the linear loop for more than its range, NaN where the loop is unstable.
+    the readings alone asks a command of the linear loop for more than its range, a minute after it was closed.
     """
 
     bench: "LinearBench"
@@ -51,14 +50,20 @@ def drawn_loop(rng, modulus, noise=0.0, limited=True, unit=1.0):
         (25.0, 10.0 * unit) if limited else (np.inf, np.inf),
     )
     f_hz = abs(np.angle(slowest)) * RATE_HZ / (2 * np.pi)
-    clipped = clipped_share(A, B, C, gain * K, noise, bench.actuators[0].high) if modulus < 1 else np.nan
+    clipped = clipped_share(A, B, C, gain * K, noise, bench.actuators[0].high)
     return DrawnLoop(bench, law, np.log(np.abs(slowest)) * RATE_HZ, f_hz, clipped)
 
 
 def clipped_share(A, B, C, K, noise, limit):
-    """Return the share of the time for which noise alone drives the loudest command of a stable loop over a limit."""
+    """Return the share of the time for which noise alone drives the loudest command of a loop over a limit by then.
+
+    What noise heaps up in 2 n samples is sum F^k Q F'^k: that of n of them, and once more as the loop carries it on.
+    """
+    step = closed(A, B, C, K)
     fed = noise * np.vstack([np.zeros((A.shape[0], C.shape[0])), K])
-    states = solve_discrete_lyapunov(closed(A, B, C, K), fed @ fed.T)
+    states = fed @ fed.T
+    for _ in range(math.ceil(math.log2(60.0 * RATE_HZ))):
+        states, step = states + step @ states @ step.T, step @ step
     rms = float(np.sqrt(np.diag(states)[A.shape[0] :].max()))
     return float(erfc(limit / rms / np.sqrt(2))) if rms > 0 else 0.0
 

@@ -177,8 +177,9 @@ def test_refusals(slow_growth_law):
 def test_drawn_loops_are_never_judged_wrongly(rng):
     """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records.
 
-    Or where noise alone holds a stable loop at its limits for more than the hundredth of the time up to which it is
-    taken for the linear one: to say that such a loop settles would be false, and it is printed.
+    Or where noise alone holds a loop at its limits for more than the hundredth of the time up to which it is taken for
+    the linear one: to say that such a loop settles would be false, what it does by itself is not seen, and it is
+    printed.
     """
     false_ok = false_unstable = unknown = wrongly_unknown = 0
     for _ in range(LOOPS):
