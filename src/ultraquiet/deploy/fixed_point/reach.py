@@ -17,8 +17,11 @@ def all_corners(law: FixedLaw) -> tuple[Whole, int]:
 
     The number returned besides says how many are followed by a whole step.
     """
-    steps = np.concatenate([turning_corners(law), state_corners(law)])
-    return np.concatenate([command_corners(law), touching_corners(law), steps]), len(steps)
+    touching, beyond = touching_corners(law), state_corners(law)
+    # where no command touches its end, a state must, for the code that limits both is the same
+    just = touching_steps(law) if len(beyond) and not len(touching) else beyond[:0]
+    steps = np.concatenate([turning_corners(law), beyond, just])
+    return np.concatenate([command_corners(law), touching, steps]), len(steps)
 
 
 def turning_corners(law: FixedLaw) -> Whole:
@@ -181,6 +184,59 @@ def state_corners(law: FixedLaw) -> Whole:
                 x[k - parity : k - parity + 2] = top * SIGNS[best[k]]
                 corners.append(np.concatenate([x, y[k]]))
     return np.array(corners, np.int64).reshape(-1, law.states + law.inputs)
+
+
+def touching_steps(law: FixedLaw) -> Whole:
+    """Return states and measurements, `(corners, n + ny)`, from which one step carries a state just to its end.
+
+    And one count beyond, on both sides, all other states inside their range; none where no state is found that does.
+    """
+    ends = [(end, sign) for end in (_top(law), _top(law) + 1) for sign in (1, -1)]
+    for k in range(law.states):
+        for driven in (False, True):
+            corners = [_stepping(law, k, end, sign, driven) for end, sign in ends]
+            found = [corner for corner in corners if corner is not None]
+            if len(found) == len(ends):
+                return np.array(found, np.int64)
+    return np.zeros((0, law.states + law.inputs), np.int64)
+
+
+def _stepping(law: FixedLaw, k: int, end: int, sign: int, driven: bool) -> Whole | None:
+    """Return words from which state k becomes `end` on its own side and no other leaves its range, or None.
+
+    From the words that carry it furthest, those that move it least per count are drawn to the other end first, one
+    after the other, until one of them crosses what is sought: what that becomes rises with it, or falls.
+    """
+    gains, words = np.zeros(law.states + law.inputs), np.zeros(law.states + law.inputs, np.int64)
+    block = slice(k - k % 2, k - k % 2 + 2)
+    gains[block] = law.A.reshape(-1, 2)[k] * 2.0 ** -float(law.shift_a[k // 2] + law.bits - 2)
+    gains[k] += float(law.delta)
+    if driven:
+        gains[law.states :] = law.B[k] * 2.0 ** -float(law.shift_b[k] + law.bits - 2)
+    words[:] = sign * _top(law) * np.sign(gains)
+    for at in np.argsort(np.abs(gains), kind="stable"):
+        if gains[at] == 0 or sign * _stepped(law, words)[k] < end:
+            continue
+        near, far = int(words[at]), -int(words[at])
+        while abs(near - far) > 1:
+            words[at] = (near + far) // 2
+            near, far = (words[at], far) if sign * _stepped(law, words)[k] >= end else (near, words[at])
+        words[at] = near
+    reached = sign * _stepped(law, words)
+    inside = np.abs(np.delete(reached, k)).max(initial=0) <= _top(law)
+    return words if reached[k] == end and inside else None
+
+
+def _stepped(law: FixedLaw, words: Whole) -> Whole:
+    """Return what states and measurements make of the states in one step, before any limit."""
+    x, y = words[: law.states], words[law.states :]
+    turned = (law.A.reshape(-1, 2, 2) * x.reshape(-1, 1, 2)).sum(axis=2).ravel()
+    both = _rounded(turned, np.repeat(law.shift_a, 2) + 2) + _rounded(law.B @ y, law.shift_b + 2)
+    return np.asarray(_rounded(both, law.bits - 4) + (x if law.delta else 0))
+
+
+def _top(law: FixedLaw) -> int:
+    return 2 ** (law.bits - 1) - 1
 
 
 def _at(rows: Whole, law: FixedLaw) -> Whole:
