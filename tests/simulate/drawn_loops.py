@@ -33,14 +33,10 @@ class DrawnLoop:
 def drawn_loop(rng, modulus, noise=0.0, limited=True, unit=1.0):
     """Return a loop of drawn size; `noise` and range of a reading are in multiples of `unit`."""
     ny, nu = SHAPES[rng.integers(len(SHAPES))]
-    while True:
-        A, B, C = modal(rng, ny, nu)
-        K = rng.standard_normal((nu, ny))
-        if (gain := gain_for(A, B, C, K, modulus)) is not None:
-            break
-    poles = np.linalg.eigvals(closed(A, B, C, gain * K))
+    (A, B, C), K = drawn_plant(rng, ny, nu, modulus)
+    poles = np.linalg.eigvals(closed(A, B, C, K))
     slowest = poles[np.argmax(np.abs(poles))]
-    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), gain * K / unit, RATE_HZ)
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), K / unit, RATE_HZ)
     bench = LinearBench(
         A,
         B,
@@ -50,8 +46,17 @@ def drawn_loop(rng, modulus, noise=0.0, limited=True, unit=1.0):
         (25.0, 10.0 * unit) if limited else (np.inf, np.inf),
     )
     f_hz = abs(np.angle(slowest)) * RATE_HZ / (2 * np.pi)
-    clipped = clipped_share(A, B, C, gain * K, noise, bench.actuators[0].high)
+    clipped = clipped_share(A, B, C, K, noise, bench.actuators[0].high)
     return DrawnLoop(bench, law, np.log(np.abs(slowest)) * RATE_HZ, f_hz, clipped)
+
+
+def drawn_plant(rng, ny, nu, modulus):
+    """Return modes, and the gains with which the slowest pair of their loop has this modulus."""
+    while True:
+        A, B, C = modal(rng, ny, nu)
+        K = rng.standard_normal((nu, ny))
+        if (gain := gain_for(A, B, C, K, modulus)) is not None:
+            return (A, B, C), gain * K
 
 
 def clipped_share(A, B, C, K, noise, limit):

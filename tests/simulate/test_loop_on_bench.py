@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_loops import gain_for, modal
+from drawn_loops import drawn_plant, modal
 from drawn_loops import wrapped as drawn_bench
 from scipy.linalg import expm
 
@@ -129,9 +129,8 @@ def test_a_law_that_runs_away_is_named_by_the_hexapod():
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_sensitivity_of_rectangular_plants(ny, nu, unit, rng):
     """Tall: the largest |y closed| / |y open| that any disturbance has; wide: the whole matrix."""
-    A, B, C = modal(rng, ny, nu)
-    K = rng.standard_normal((nu, ny))
-    K *= 0.5 * gain_for(A, B, C, K, 1.0)
+    (A, B, C), K = drawn_plant(rng, ny, nu, 1.0)
+    K *= 0.5
     noise = np.random.default_rng(rng.integers(2**32))
     bench = drawn_bench(A, B, unit * C, 1e-4 * unit, noise, (25.0, 10.0 * unit))
     law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), K / unit, bench.rate_hz)
