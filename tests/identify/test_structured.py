@@ -131,7 +131,10 @@ def test_symbols_return_from_a_record(rng):
     assert all(fit.deviations[s] < 0.05 * TRUTH[s] for s in ("K", "R_M"))
 
 
+# Four symbols that move together: the shares of ten campaigns lie at 93.8 % with a deviation of 1.1 %, the noise of a
+# record being read off its residual.
 @pytest.mark.slow
+@pytest.mark.draws(false_alarm=0.25)
 def test_deviations_of_symbols_cover_from_records(rng):
     inside = dict.fromkeys(SOUGHT, 0)
     for _ in range(DRAWS // 2):
@@ -145,7 +148,9 @@ def test_deviations_of_symbols_cover_from_records(rng):
     assert COVERAGE[0] <= mean <= COVERAGE[1]
 
 
+# Of six campaigns at 94.9 % with a deviation of 1.1 %.
 @pytest.mark.slow
+@pytest.mark.draws(false_alarm=0.07)
 def test_deviations_of_symbols_cover_from_responses(rng):
     inside = dict.fromkeys(SOUGHT, 0)
     for _ in range(DRAWS):
