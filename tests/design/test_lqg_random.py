@@ -106,6 +106,7 @@ def judge(rng, count, fitting=True):
     return words, sentences
 
 
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("count", [3, pytest.param(1000, marks=pytest.mark.slow)])
 def test_lqg_on_random_stable_plants(rng, count):
     words, sentences = judge(rng, count)
