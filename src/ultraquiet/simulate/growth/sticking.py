@@ -13,7 +13,7 @@ import numpy as np
 
 from ultraquiet._base.errors import InterlockError, of_the_loop
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.free_response import VISIBLE
+from ultraquiet.simulate.free_response import VISIBLE, Mode
 from ultraquiet.simulate.growth.lowered import within_limits
 from ultraquiet.simulate.growth.repeated import repeated
 from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, LONGER, Seen, apart, decaying_before, judged, loudness
@@ -81,7 +81,9 @@ def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen,
             return None
         if at_length:
             grows = again.word is StatusWord.UNSTABLE and not again.slow
-            return again if grows else None if _falls(found, seen) else _rings_on(bench, burst, again)
+            asked = again.mode is not None and again.mode.f_hz in doubts  # more records are to tell, and its own
+            falls = _falls(found, seen.mode) or (asked and _is_slow(again.mode, found))
+            return again if grows else None if falls else _rings_on(bench, burst, again)
         burst, found = _watched_longer(bench, law, burst, seen)
     return _at_limits(bench, law, (burst, found), seen)
 
@@ -112,12 +114,15 @@ def _dies(found: FreeResponse) -> bool:
     return bool(eighths[-1] <= max(VISIBLE, DEAD * eighths[0] * (eighths[-1] < FALLING * eighths[4])))
 
 
-def _falls(found: FreeResponse, seen: Seen) -> bool:
-    """Return whether a response falls in the later half of its record, or has modes too slow for that."""
+def _falls(found: FreeResponse, slowest: Mode | None) -> bool:
+    """Return whether a response falls in the later half of its record, or has a mode too slow for that."""
     eighths = loudness(found, 8)
-    later_s = 3 / 8 * _longest(seen) / found.runs[0].rate_hz
-    slow = seen.mode is not None and -seen.mode.growth_per_s * later_s < -math.log(FALLING)
-    return slow or bool(eighths[-1] < FALLING * eighths[4])
+    return _is_slow(slowest, found) or bool(eighths[-1] < FALLING * eighths[4])
+
+
+def _is_slow(mode: Mode | None, found: FreeResponse) -> bool:
+    later_s = 3 / 8 * found.response.shape[1] / found.runs[0].rate_hz
+    return mode is not None and -mode.growth_per_s * later_s < -math.log(FALLING)
 
 
 def _rings_on(bench: Bench, burst: Burst, again: Seen) -> Seen:
