@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.simulate.free_response import ringing
+from ultraquiet.simulate.free_response import lasting_hz, ringing
 
 RATE_HZ, SAMPLES = 1000.0, 16384
 
@@ -47,3 +47,17 @@ def test_one_mode_is_one_however_many_bands_hear_it(rng):
         assert len(heard.modes) == 1, heard.modes
         assert heard.modes[0].f_hz == pytest.approx(f_hz, abs=0.01)
         assert heard.modes[0].growth_per_s == pytest.approx(-0.05, abs=4 * heard.modes[0].growth_std)
+
+
+def test_what_noise_keeps_going_lasts_unless_a_burst_is_heard_above_it(rng):
+    """A mode of no growth that noise alone rings, against one that decays in a tenth of a second, and white noise."""
+    f_hz, lasting = 40.0, []
+    for _ in range(20):
+        still, _ = ring(rng, [(f_hz, 0.0, 0.0)], 1.0, 10.0)
+        _, noise = ring(rng, [(f_hz, 0.0, 0.0)], 1.0, 10.0)
+        heard, dying = ring(rng, [(f_hz, -10.0, 0.0)], 1.0, 10.0)
+        white, other = rng.standard_normal((2, 2, SAMPLES))
+        burst = 1e3 * np.exp(-np.arange(SAMPLES) / RATE_HZ) * np.sin(2 * np.pi * f_hz * np.arange(SAMPLES) / RATE_HZ)
+        pairs = [(still, noise), (heard, dying), (white, other), (still + burst, noise)]
+        lasting.append([lasting_hz(*pair, (f_hz,), RATE_HZ) == (f_hz,) for pair in pairs])
+    assert np.mean(lasting, axis=0).tolist() == [1.0, 0.0, 0.0, 0.0]

@@ -136,7 +136,7 @@ def lasting_hz(response: FloatArray, noise: FloatArray, f_hz: Iterable[float], r
     """Return at which frequencies noise keeps something going that a burst there is not heard above at first.
 
     What a mode is fed by noise wanders the slower the longer it rings, so that it is a tone as seldom as not; yet a
-    twentieth of the record later most of it is there still.
+    twentieth of the record later most of it is there still, in the response as in the noise.
     """
     frames = Frames(response.shape[1], rate_hz)
     scaled, level = _scaled(response, noise)
@@ -144,13 +144,14 @@ def lasting_hz(response: FloatArray, noise: FloatArray, f_hz: Iterable[float], r
     for f in f_hz if level.size else ():
         line = round(f / frames.line_hz(1))
         b, e = (frames.band(x, line) for x in (scaled, level))
-        at_first = np.sum(np.abs(b[:, 0]) ** 2)
-        if at_first < VISIBLE**2 * np.sum(np.abs(e) ** 2) / e.shape[1] and lasts(e):
+        late = b[:, frames.count // 2 :]
+        at_first, later, noisy = (float(np.mean(np.sum(np.abs(x) ** 2, axis=0))) for x in (b[:, :1], late, e))
+        if at_first < VISIBLE**2 * max(later, noisy) and (_lasts(e) or _lasts(b)):
             found.append(f)
     return tuple(found)
 
 
-def lasts(amplitude: ComplexArray) -> bool:
+def _lasts(amplitude: ComplexArray) -> bool:
     """Return whether the loudest direction of a band `(channels, frames)` keeps its share over `APART` frames."""
     along = np.linalg.svd(amplitude, full_matrices=False)[0][:, 0].conj() @ amplitude
     later, before = along[APART:], along[:-APART]

@@ -305,7 +305,7 @@ def _assured(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: See
     if again.word is not StatusWord.OK:
         return again
     record = again.record
-    known = (0.0, *record.outside_hz)
+    known = (0.0, *record.outside_hz, *(mode.f_hz for mode in again.modes))
     swinging = [f for f in seen.hidden_hz if not near(f, known, record.response.shape[1], bench.rate_hz)]
     left = lasting_hz(record.response, record.noise, swinging, bench.rate_hz)
     return replace(seen, word=None, doubtful_hz=left, sentence=rings_by_itself(left)) if left else seen
