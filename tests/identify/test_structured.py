@@ -131,10 +131,10 @@ def test_symbols_return_from_a_record(rng):
     assert all(fit.deviations[s] < 0.05 * TRUTH[s] for s in ("K", "R_M"))
 
 
-# Four symbols that move together: the shares of ten campaigns lie at 93.8 % with a deviation of 1.1 %, the noise of a
+# Four symbols that move together: the shares of eight campaigns lie at 93.6 % with a deviation of 1.2 %, the noise of a
 # record being read off its residual.
 @pytest.mark.slow
-@pytest.mark.draws(false_alarm=0.25)
+@pytest.mark.draws(false_alarm=0.3)
 def test_deviations_of_symbols_cover_from_records(rng):
     inside = dict.fromkeys(SOUGHT, 0)
     for _ in range(DRAWS // 2):
