@@ -93,8 +93,9 @@ def check_stability(
       where something sticks (`sticking.py`);
     * ok when everything was followed down to the noise, decaying: from a third of the channels' ranges, and where that
       takes longer than the record, again from near the noise;
-    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does, what a
-      loud burst set going rings on, or a command still ramps under a law that integrates (`ramps.py`).
+    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does, noise
+      keeps one going that no burst within the limits is heard above, what a loud burst set going rings on, or a command
+      still ramps under a law that integrates (`ramps.py`).
 
     Offsets count for nothing. A tone that the bench holds without the law as well, mains or a drift, is none of the
     loop's where a burst at its frequency stands well above it and dies (`growth/outside.py`).
