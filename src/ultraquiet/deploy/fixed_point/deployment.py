@@ -94,7 +94,7 @@ class FixedDeployment(Shown):
 def measurements(law: FixedLaw, steps: int, seed: int) -> Whole:
     """Return words over the whole range: white noise, slow and fast square waves of full size, silence."""
     rng = np.random.default_rng(seed)
-    top = 2 ** (law.bits - 1) - 1
+    top = law.top
     y = rng.integers(-top, top + 1, (law.inputs, steps))
     square = top * (1 - 2 * ((np.arange(steps) // rng.integers(1, 400, (law.inputs, 1))) % 2))
     kind = (np.arange(steps) // 500) % 3

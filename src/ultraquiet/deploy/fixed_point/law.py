@@ -56,6 +56,11 @@ class FixedLaw(Shown):
         return WORDS[self.word]
 
     @property
+    def top(self) -> int:
+        """Largest word; the least that the code holds is its negative."""
+        return 2 ** (self.bits - 1) - 1
+
+    @property
     def delta(self) -> bool:
         """True when the blocks hold A - I."""
         return self.form == "delta"

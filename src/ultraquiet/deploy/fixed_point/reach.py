@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet.deploy.fixed_point.exact import least_squares
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
+from ultraquiet.deploy.fixed_point.twin import FixedTwin
 
 TRIED = 4096  # words for one of two gains, to find a sum that is just so large
 SIGNS = np.array(list(product((1, -1), repeat=2)), dtype=np.int64)  # of the two states of a block
@@ -30,7 +31,7 @@ def turning_corners(law: FixedLaw) -> Whole:
     From rest a state of a law scaled by its bound may stay so small that a count of its coefficients is never seen;
     from here one turn of every block shows it, and carries no state out of its range.
     """
-    corners, top = np.zeros((2, law.states + law.inputs), np.int64), 2 ** (law.bits - 1) - 1
+    corners, top = np.zeros((2, law.states + law.inputs), np.int64), law.top
     if not law.states:
         return corners[:0]
     own, parities = law.A.reshape(-1, 2), np.arange(law.states) % 2
@@ -66,7 +67,7 @@ def touching_corners(law: FixedLaw) -> Whole:
     the loudest first, for which words are found that leave all others inside; of any command where there are none
     such, and none where the words of no command are fine enough.
     """
-    top = 2 ** (law.bits - 1) - 1
+    top = law.top
     rows, downs = np.hstack([law.C.T, law.D]), law.shift_u + law.bits - 2
     ends = [(end, sign) for end in (top, top + 1) for sign in (1, -1)]
     found = np.zeros((0, rows.shape[1]), np.int64)
@@ -155,7 +156,7 @@ def largest_commands(law: FixedLaw) -> Whole:
 
 def limited_commands(law: FixedLaw) -> list[bool]:
     """Return for each command whether anything carries it beyond its range."""
-    return [bool(size > 2 ** (law.bits - 1) - 1) for size in largest_commands(law)]
+    return [bool(size > law.top) for size in largest_commands(law)]
 
 
 def state_corners(law: FixedLaw) -> Whole:
@@ -166,7 +167,7 @@ def state_corners(law: FixedLaw) -> Whole:
     """
     if not law.saturates or not law.states:
         return np.zeros((0, law.states + law.inputs), np.int64)
-    top = 2 ** (law.bits - 1) - 1
+    top = law.top
     own, parities = law.A.reshape(-1, 2), np.arange(law.states) % 2
     corners = []
     for sign in (1, -1):
@@ -191,52 +192,48 @@ def touching_steps(law: FixedLaw) -> Whole:
 
     And one count beyond, on both sides, all other states inside their range; none where no state is found that does.
     """
-    ends = [(end, sign) for end in (_top(law), _top(law) + 1) for sign in (1, -1)]
+    ends = [(end, sign) for end in (law.top, law.top + 1) for sign in (1, -1)]
+    twin = FixedTwin(law)
     for k in range(law.states):
         for driven in (False, True):
-            corners = [_stepping(law, k, end, sign, driven) for end, sign in ends]
+            corners = [_stepping(twin, k, end, sign, driven) for end, sign in ends]
             found = [corner for corner in corners if corner is not None]
             if len(found) == len(ends):
                 return np.array(found, np.int64)
     return np.zeros((0, law.states + law.inputs), np.int64)
 
 
-def _stepping(law: FixedLaw, k: int, end: int, sign: int, driven: bool) -> Whole | None:
+def _stepping(twin: FixedTwin, k: int, end: int, sign: int, driven: bool) -> Whole | None:
     """Return words from which state k becomes `end` on its own side and no other leaves its range, or None.
 
     From the words that carry it furthest, those that move it least per count are drawn to the other end first, one
     after the other, until one of them crosses what is sought: what that becomes rises with it, or falls.
     """
+    law = twin.law
     gains, words = np.zeros(law.states + law.inputs), np.zeros(law.states + law.inputs, np.int64)
     block = slice(k - k % 2, k - k % 2 + 2)
     gains[block] = law.A.reshape(-1, 2)[k] * 2.0 ** -float(law.shift_a[k // 2] + law.bits - 2)
     gains[k] += float(law.delta)
     if driven:
         gains[law.states :] = law.B[k] * 2.0 ** -float(law.shift_b[k] + law.bits - 2)
-    words[:] = sign * _top(law) * np.sign(gains)
+    words[:] = sign * law.top * np.sign(gains)
+
+    def reached() -> Whole:
+        return np.asarray(sign * twin.following(words[: law.states], words[law.states :]))
+
     for at in np.argsort(np.abs(gains), kind="stable"):
-        if gains[at] == 0 or sign * _stepped(law, words)[k] < end:
+        if gains[at] == 0 or reached()[k] < end:
             continue
         near, far = int(words[at]), -int(words[at])
         while abs(near - far) > 1:
             words[at] = (near + far) // 2
-            near, far = (words[at], far) if sign * _stepped(law, words)[k] >= end else (near, words[at])
+            if reached()[k] >= end:
+                near = int(words[at])
+            else:
+                far = int(words[at])
         words[at] = near
-    reached = sign * _stepped(law, words)
-    inside = np.abs(np.delete(reached, k)).max(initial=0) <= _top(law)
-    return words if reached[k] == end and inside else None
-
-
-def _stepped(law: FixedLaw, words: Whole) -> Whole:
-    """Return what states and measurements make of the states in one step, before any limit."""
-    x, y = words[: law.states], words[law.states :]
-    turned = (law.A.reshape(-1, 2, 2) * x.reshape(-1, 1, 2)).sum(axis=2).ravel()
-    both = _rounded(turned, np.repeat(law.shift_a, 2) + 2) + _rounded(law.B @ y, law.shift_b + 2)
-    return np.asarray(_rounded(both, law.bits - 4) + (x if law.delta else 0))
-
-
-def _top(law: FixedLaw) -> int:
-    return 2 ** (law.bits - 1) - 1
+    inside = np.abs(np.delete(reached(), k)).max(initial=0) <= law.top
+    return words if reached()[k] == end and inside else None
 
 
 def _at(rows: Whole, law: FixedLaw) -> Whole:
@@ -244,7 +241,7 @@ def _at(rows: Whole, law: FixedLaw) -> Whole:
 
     States are held within -top and top, a measurement is whatever word a converter gives.
     """
-    top = 2 ** (law.bits - 1) - 1
+    top = law.top
     low = np.where(np.arange(rows.shape[1]) < law.states, -top, -top - 1)
     return np.where(rows > 0, top, np.where(rows < 0, low, 0))
 

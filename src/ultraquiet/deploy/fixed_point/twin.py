@@ -17,7 +17,7 @@ class FixedTwin(Shown):
 
     def __init__(self, law: FixedLaw) -> None:
         self.law = law
-        self._top = 2 ** (law.bits - 1) - 1
+        self._top = law.top
         self._of = np.arange(law.states) ^ 1
         pairs = law.A.reshape(-1, 4)
         # A block's row as what a state takes from itself and from its neighbour.
@@ -66,14 +66,19 @@ class FixedTwin(Shown):
     def update(self) -> None:
         """Advance the state; at rest once the ramp has ended."""
         law = self.law
-        own = _round(self._self * self.x + self._other * self.x[self._of], self._shift_a + 2)
-        acc = own + _round(law.B @ self.y, law.shift_b + 2)
-        x = _round(acc, law.bits - 4) + (self.x if law.delta else 0)
+        x = self.following(self.x, self.y)
         if law.saturates:
             limited = np.clip(x, -self._top, self._top)
             self.limited += bool(np.any(limited != x))
             x = limited
         self.x = x if self.level or self.on else 0 * x
+
+    def following(self, x: Whole, y: Whole) -> Whole:
+        """Return what states `(n,)` and measurements `(ny,)` make of the states in one step, before any limit."""
+        law = self.law
+        own = _round(self._self * x + self._other * x[self._of], self._shift_a + 2)
+        acc = own + _round(law.B @ y, law.shift_b + 2)
+        return np.asarray(_round(acc, law.bits - 4) + (x if law.delta else 0))
 
     def run(self, y: ArrayLike) -> Whole:
         """Return the commands `(nu, n)` for measurements `(ny, n)`, both words."""

@@ -72,11 +72,11 @@ class OnePass:
         self.response = np.moveaxis(Yc @ inverted(Dc), 0, 2).astype(np.complex128)
         # A quiet run with the law is shorter than its loop may ring, its lines wider than a peak of S: what the loop
         # makes of the open noise is known from S itself, line by line.
-        filtered = through(self.S, noise_rows(closed, band.noise))
-        quiet = np.maximum(noise_rows(closed, noise), filtered)
-        self.closed_rows = quiet + ROUNDING * np.linalg.norm(Yc, axis=2).T
+        filtered = _through(self.S, noise_rows(closed, band.noise))
+        noisy = np.maximum(noise_rows(closed, noise), filtered)
+        self.closed_rows = noisy + ROUNDING * np.linalg.norm(Yc, axis=2).T
         by_open = noise_rows(opened, band.noise)
-        self.opened_rows = largest(turn) * through(self.S, by_open)
+        self.opened_rows = largest(turn) * _through(self.S, by_open)
         weakest, both = largest(inverse), largest(self.S) * largest(turn @ inverse)
         self.left = LeftOpen(
             weakest * np.linalg.norm(self.closed_rows, axis=0),
@@ -86,6 +86,6 @@ class OnePass:
         )
 
 
-def through(S: ComplexArray, rows: FloatArray) -> FloatArray:
+def _through(S: ComplexArray, rows: FloatArray) -> FloatArray:
     """Return the noise that S `(lines, ny, ny)` makes of independent noise `(ny, lines)` at each sensor, likewise."""
     return np.sqrt(np.einsum("lij,jl->il", np.abs(S) ** 2, rows**2))
