@@ -11,9 +11,10 @@ from scipy.linalg import expm
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.bench.linear import LinearBench
-from ultraquiet.simulate.open_loop import OPEN_LINES, OpenLoop
+from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.simulate.sensitivity.measure import may_peak_below
 from ultraquiet.simulate.sensitivity.pair import decides
+from ultraquiet.simulate.sweeps.band import OPEN_LINES
 from ultraquiet.testing.problems import RATE_HZ, damped_plant, loop_poles, observer_law
 
 

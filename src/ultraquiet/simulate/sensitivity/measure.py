@@ -11,9 +11,10 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.kick import ranges
-from ultraquiet.simulate.open_loop import LOUD, OpenLoop
+from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.simulate.sensitivity.measured import MeasuredSensitivity, is_heard_from, size_of
 from ultraquiet.simulate.sensitivity.pair import HIDDEN, BandLines, LoopPair
+from ultraquiet.simulate.sweeps.band import LOUD
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -39,7 +40,8 @@ def measure_sensitivity(
     silence helps, on a bench in real time four times. Where it ends displaced or moving, as an integrator or a free
     body does, the rest of the transform is known and added; what rings on is counted like noise. A run drives one
     right singular vector of the open loop, as loud as ranges allow at each frequency: weak directions stand as far
-    above the noise as strong ones. Lines are where S is: closer together between lines that differ by more than 0.5 dB,
+    above the noise as strong ones. Where they do not, the open loop is swept again in the directions that its own lines
+    give, three times at most. Lines are where S is: closer together between lines that differ by more than 0.5 dB,
     down to one over the length of a run, or of the longer ones that a loop which rings asked for. A line is heard with
     its neighbours, as many of them as noise alone tells apart from a smooth S: the largest of many noisy lines would
     read too much. A pass is repeated, louder where noise hid a line, four times at most; what noise leaves open in the

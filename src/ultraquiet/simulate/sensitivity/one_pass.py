@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.open_loop import OpenBand, Runs, noise_rows, still_moving
 from ultraquiet.simulate.sensitivity.neighbours import together
+from ultraquiet.simulate.sweeps.band import OpenBand
 from ultraquiet.simulate.sweeps.lines import inverted, largest
+from ultraquiet.simulate.sweeps.runs import Runs, noise_rows, still_moving
 
 ROUNDING = 1e-9  # what is left of a deviation without noise
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.open_loop import EDGE, LOWER, OpenBand
+from ultraquiet.simulate.open_loop import EDGE
 from ultraquiet.simulate.sensitivity.measured import DEVIATIONS, RESOLVED, size_of
 from ultraquiet.simulate.sensitivity.neighbours import LinesOfS, together
 from ultraquiet.simulate.sensitivity.one_pass import ROUNDING, LeftOpen, OnePass
+from ultraquiet.simulate.sweeps.band import HEARD, LOWER, OpenBand
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -20,8 +21,6 @@ SURE = 4.0  # deviations above its neighbours, for one of many lines to be a nee
 # First lines are apart by this share of their frequency; between two whose worst direction differs by more, there are
 # further ones, down to the resolution of a run.
 APART, STEP_DB = 0.003, 0.5
-# Lines are chosen where the open loop by itself would leave an S of size one this much open.
-HEARD = 0.02
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
 
@@ -44,7 +43,7 @@ class LoopPair:
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
         self._law, self._length = law, 1
         begin = BEGIN_CLOSED * band.runs.levels
-        self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
+        self._levels = LOWER * band.short.run(law, band.directions, begin, 2).better
         self._on(band)
 
     def _on(self, band: OpenBand) -> None:
@@ -88,7 +87,7 @@ class LoopPair:
 
     def _measure(self) -> None:
         band = self.band
-        closed = band.rested(self._law, self._levels, self._quiet, self._length)
+        closed = band.rested(self._law, band.directions, self._levels, self._quiet, self._length)
         self._levels, self._length, self._rings = closed.better, closed.length, closed.lines_open > 0
         one = OnePass(band, closed, self._noise)
         weight = 1 / np.maximum(np.hypot(one.left.closed, one.left.moving), ROUNDING) ** 2

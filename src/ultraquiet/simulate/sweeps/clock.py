@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.simulate.sweeps.directions import Directions
 
 # Share of a run that sweeps, and the part of it in which either end fades, beyond the frequencies asked for.
 SWEPT, FADED = 0.625, 0.02
@@ -67,14 +68,20 @@ class SweepClock:
         gain = np.minimum(1.0, np.minimum(np.arange(self.swept), np.arange(self.swept)[::-1]) / faded)
         return (gain * np.exp(2j * np.pi * np.cumsum(self.f_hz) / self.rate_hz)).astype(np.complex128)
 
-    def signal(self, grid_hz: FloatArray, direction: ComplexArray, level: FloatArray) -> FloatArray:
-        """Return the disturbance `(nu, samples)` of a direction `(nu, grid)` and a level `(grid,)` at `grid_hz`."""
-        d = np.zeros((len(direction), self.samples))
-        at, f = np.log(grid_hz), np.log(self.f_hz)
-        size = np.exp(np.interp(f, at, np.log(level)))
-        for j, part in enumerate(direction):
-            turned = np.interp(f, at, part.real) + 1j * np.interp(f, at, part.imag)
-            d[j, : self.swept] = size * np.real(turned * self.carrier)
+    def signal(self, directions: Directions, k: int, grid_hz: FloatArray, level: FloatArray) -> FloatArray:
+        """Return the disturbance `(nu, samples)` of one of some directions, at a level `(grid,)` held at `grid_hz`.
+
+        Its spectrum is that of the sweep, times the direction at each frequency: a plant that rings for longer than the
+        sweep stays near its resonance is moved in one direction all the same. What lies outside the sweep is cut off.
+        """
+        size = np.exp(np.interp(np.log(self.f_hz), np.log(grid_hz), np.log(level)))
+        before, period = self.swept // 2, 2 * self.samples
+        sweep = np.zeros(period)
+        sweep[before : before + self.swept] = size * self.carrier.real
+        f_hz: FloatArray = np.arange(self.samples + 1, dtype=float) * (self.rate_hz / period)
+        turned = np.fft.rfft(sweep) * directions.at(k, f_hz)
+        d = np.zeros((len(turned), self.samples))
+        d[:, : self.swept] = np.fft.irfft(turned, period, axis=1)[:, before : before + self.swept]
         return d
 
     def envelope(self, signal: FloatArray, grid_hz: FloatArray) -> FloatArray:

@@ -1,14 +1,41 @@
 """In which directions a bench is swept: one of its sensors' after the other, weak ones as loud as strong ones."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 # Directions this much weaker than the strongest are driven no more strongly.
 WEAKEST = 1e-3
 # The next vector of a basis is the first channel with this share of the largest rest: which of two alike channels comes
 # first is not left to rounding.
 ALIKE = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions of the disturbance at rising frequencies, `(points,)`: columns of `vectors`, `(nu, k, points)`."""
+
+    f_hz: FloatArray
+    vectors: ComplexArray
+
+    def __len__(self) -> int:
+        return self.vectors.shape[1]
+
+    def at(self, k: int, f_hz: FloatArray) -> ComplexArray:
+        """Return one of them at frequencies between its own, `(nu, frequencies)`."""
+        at, own = np.log(np.maximum(f_hz, np.finfo(float).tiny)), np.log(self.f_hz)
+        rows = self.vectors[:, k]
+        return np.array([np.interp(at, own, row.real) + 1j * np.interp(at, own, row.imag) for row in rows], complex)
+
+    def loudest(self, G: ComplexArray, heard: float, driven: float) -> FloatArray:
+        """Return how loud each may be, `(k, points)`, where so much is heard and driven, in shares of ranges.
+
+        G: responses at its frequencies, `(ny, nu, points)`, every channel in its range. What rings on is not counted.
+        """
+        moved = np.abs(np.einsum("ijl,jkl->ikl", G, self.vectors)).max(axis=0)
+        return np.minimum(heard / np.maximum(moved, np.finfo(float).tiny), driven / np.abs(self.vectors).max(axis=0))
 
 
 def directions(G: ComplexArray) -> ComplexArray:
