@@ -342,3 +342,12 @@ def test_parquet_leaves_gaps_where_values_or_stamps_are_missing(tmp_path):
     table = read_parquet("gaps.parquet", (tmp_path / "gaps.parquet").read_bytes())
     np.testing.assert_array_equal(table.columns[1].values, [np.nan, 3.0, 4.0, np.nan])
     assert np.isnan(table.columns[0].values).tolist() == [True, False, False, False]
+
+
+@pytest.mark.parametrize("mark", ["\x1c", "\x1b[2J", "\x85", "\u2028", "\u202e", "\x00"])
+def test_what_a_sentence_quotes_of_a_file_ends_no_line_and_commands_no_terminal(tmp_path, mark):
+    path = tmp_path / "hurt.csv"
+    path.write_text(f"time,gap\n0,1\n0.1,2\n0.2,3\n0.{mark}3,4\n0.4,5\n", encoding="utf-8")
+    said = refusal(path, inputs=("gap",), outputs=())
+    assert said.isprintable(), ascii(said)
+    assert len(said.splitlines()) == 1

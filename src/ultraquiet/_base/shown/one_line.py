@@ -14,8 +14,17 @@ def one_line(text: object, most: int = LONGEST) -> str:
     except Exception:  # an object of somebody else's may fail at anything
         words = f"<{type(text).__name__}>"
     words = " ".join(words[: 8 * most].split())
-    shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)
+    shown = printable(words)
     return shown if len(shown) <= most else f"{shown[: most - 3]}..."
+
+
+def printable(text: str, kept: str = "") -> str:
+    r"""Return a text with what cannot be shown, but for characters that are kept, replaced.
+
+    >>> printable("a\x1b[2J\nb", kept="\n")
+    'a�[2J\nb'
+    """
+    return "".join(c if c in kept or c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def described(error: BaseException) -> str:

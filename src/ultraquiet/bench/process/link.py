@@ -9,6 +9,7 @@ from collections import deque
 from contextlib import suppress
 
 from ultraquiet._base.errors import BenchError, InputError, signal_name
+from ultraquiet._base.shown.one_line import printable
 from ultraquiet.files import reason
 
 CHUNK_BYTES = 1 << 16
@@ -257,4 +258,4 @@ class Child(Link):
 def shown(text: str, most: int) -> str:
     """Return the beginning of what a plant said, in one line, without what commands a terminal."""
     words = " ".join(text[: 2 * most].split())
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)[:most]
+    return printable(words)[:most]

@@ -15,6 +15,7 @@ from typing import Any
 
 from ultraquiet._base import errors
 from ultraquiet._base.errors import StorageError, UltraquietError, signal_name
+from ultraquiet._base.shown.one_line import printable
 from ultraquiet.files.confined import limits, transport
 from ultraquiet.files.confined.unpacked import budget_bytes
 from ultraquiet.files.whole import READER, understanding
@@ -155,4 +156,4 @@ def _delivered(out: int, name: str, kind: str, who: str) -> Any:
         raised = getattr(errors, answer["error"], StorageError)
     except (ValueError, KeyError, TypeError) as error:
         raise StorageError(f"{who}: '{name}' cannot be read as {kind} ({error}).") from error
-    raise raised(answer["sentence"])
+    raise raised(printable(str(answer["sentence"]), kept="\n"))
