@@ -12,7 +12,7 @@ from ultraquiet.experiments import real_time
 from ultraquiet.simulate.kick import ranges, rooms, swings
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sweeps.clock import SweepClock
-from ultraquiet.simulate.sweeps.directions import Directions, directions
+from ultraquiet.simulate.sweeps.directions import Directions
 from ultraquiet.simulate.sweeps.lines import over
 from ultraquiet.simulate.sweeps.rest import Quiet, rest_of, smoothed
 from ultraquiet.simulate.sweeps.runs import Runs, deviation_of
@@ -41,9 +41,10 @@ LOWER, LOWERED = 0.7, 4
 WEAKER, WEAKENED = 0.5, 5
 # Points of the grid to either side that a level heeds: a resonance just passed still rings; the most it is raised by.
 REACH, RAISED_BY = 2, 30.0
-# Lines are heard where the open loop's noise leaves less of an S of size one open. Runs are made anew in sharper
-# directions, so many times at most, while one of those may be this much louder where a line is not heard.
-HEARD, SHARPENED, LOUDER = 0.02, 3, 1.5
+# Lines are heard where the open loop's noise leaves less of an S of size one open, and their directions are known where
+# it leaves less than that. Runs are made anew in sharper directions, so many times at most, while one of those may be
+# this much louder at a line that is not heard.
+HEARD, KNOWN, SHARPENED, LOUDER = 0.02, 0.3, 3, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +142,11 @@ class OpenBand:
         runs = self.short.run(None, one_by_one, level, LEVELLINGS, quiet=self.short.resting)
         f = self.short.sweep.lines_hz
         at = np.searchsorted(f, grid).clip(0, f.size - 1)
-        G = np.moveaxis(over(runs.heard, runs.sent)[:, :, at], 2, 0) * self.scale / self.units[:, None]
-        return self._of_ranges(Directions(grid, np.moveaxis(directions(G), 0, 2)))
+        return self._of_ranges(Directions.of(grid, self._in_ranges(over(runs.heard, runs.sent)[:, :, at])))
+
+    def _in_ranges(self, G: ComplexArray) -> ComplexArray:
+        """Return responses `(ny, nu, points)` with every channel in its range."""
+        return G * self.scale[:, None] / self.units[:, None, None]
 
     def _of_ranges(self, shares: Directions) -> Directions:
         """Return directions that are given in ranges of actuators in their units."""
@@ -167,19 +171,20 @@ class OpenBand:
         return int(np.count_nonzero(deviation_of(runs, self.noise) >= HEARD))
 
     def _sharper(self, runs: Runs) -> Directions | None:
-        """Return directions that may be driven louder where a run heard too little, or None.
-
-        How loud a direction may be is what ranges leave it where nothing else is moved and nothing rings on.
-        """
-        deviation, own = deviation_of(runs, self.noise), slice(None, None, self.sweep.finer)  # lines of a run
-        G = over(runs.heard, runs.sent) * self.scale[:, None] / self.units[:, None, None]
-        if (found := sharper(self.sweep, G, deviation)) is None:
+        """Return sharper directions, where these may be driven louder at lines that a run did not hear, or None."""
+        own = slice(None, None, self.sweep.finer)  # lines of a run
+        f_hz, deviation = self.sweep.lines_hz[own], deviation_of(runs, self.noise)[own]
+        G = self._in_ranges(over(runs.heard, runs.sent)[:, :, own])
+        faint = (deviation >= HEARD) & (deviation < KNOWN)
+        if np.count_nonzero(faint) <= OPEN_LINES:
             return None
-        at, grid = np.log(found.f_hz), np.log(self.grid_hz)
+        most = Directions.of(f_hz[faint], G[:, :, faint]).loudest(G[:, :, faint], USED_RANGE, USED_DRIVE)
+        at, grid = np.log(f_hz[faint]), np.log(self.grid_hz)
         levels = np.exp([np.interp(at, grid, np.log(level)) for level in runs.levels])
-        louder = np.any(found.loudest(G[:, :, own], USED_RANGE, USED_DRIVE) > LOUDER * levels, axis=0)
-        few = np.count_nonzero(louder & (deviation[own] >= HEARD)) <= OPEN_LINES
-        return None if few else self._of_ranges(found)
+        louder = np.any(most > LOUDER * levels, axis=0)
+        if np.count_nonzero(louder) <= OPEN_LINES:
+            return None
+        return self._of_ranges(sharper(f_hz, G, deviation < KNOWN))
 
     @property
     def directions(self) -> Directions:

@@ -20,6 +20,11 @@ class Directions:
     f_hz: FloatArray
     vectors: ComplexArray
 
+    @classmethod
+    def of(cls, f_hz: FloatArray, G: ComplexArray) -> "Directions":
+        """Return those of responses `(ny, nu, points)`, every channel in its range: see `directions`."""
+        return cls(f_hz, np.moveaxis(directions(np.moveaxis(G, 2, 0)), 0, 2))
+
     def __len__(self) -> int:
         return self.vectors.shape[1]
 
@@ -32,7 +37,7 @@ class Directions:
     def loudest(self, G: ComplexArray, heard: float, driven: float) -> FloatArray:
         """Return how loud each may be, `(k, points)`, where so much is heard and driven, in shares of ranges.
 
-        G: responses at its frequencies, `(ny, nu, points)`, every channel in its range. What rings on is not counted.
+        G: responses at these frequencies, as for `of`. Where nothing else is moved and nothing rings on, that is.
         """
         moved = np.abs(np.einsum("ijl,jkl->ikl", G, self.vectors)).max(axis=0)
         return np.minimum(heard / np.maximum(moved, np.finfo(float).tiny), driven / np.abs(self.vectors).max(axis=0))

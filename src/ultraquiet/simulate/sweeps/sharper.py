@@ -3,32 +3,22 @@
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.sweeps.clock import SweepClock
-from ultraquiet.simulate.sweeps.directions import Directions, directions
-
-# A response is known where noise leaves less than this of its weakest direction open; directions of other lines are
-# between those of known ones.
-KNOWN = 0.3
+from ultraquiet.simulate.sweeps.directions import Directions
 
 
-def sharper(sweep: SweepClock, G: ComplexArray, deviation: FloatArray) -> Directions | None:
-    """Return the directions at every line of a run, or None where no line is known.
+def sharper(f_hz: FloatArray, G: ComplexArray, known: np.ndarray) -> Directions:
+    """Return the directions at every line of a run.
 
     Short runs know weak directions but roughly, and a grid is wider than resonances are: what moves others too, a
     hundred times stronger ones, takes the range that weak ones need.
 
     Args:
-        sweep: of the run.
-        G: what it showed, `(ny, nu, lines)`, every channel in its range.
-        deviation: what noise leaves open of the weakest direction at each line, `(lines,)`, over its size.
+        f_hz: the lines.
+        G: what the run showed, `(ny, nu, lines)`, every channel in its range.
+        known: the lines, one at least, at which noise leaves the weakest direction; others lie between them.
     """
-    f = sweep.lines_hz
-    known = np.flatnonzero(deviation < KNOWN)
-    if not known.size:
-        return None
-    own = slice(None, None, sweep.finer)  # lines of the run itself
-    rows = [[_between(f[own], f[known], g[known]) for g in row] for row in G]
-    return Directions(f[own], np.moveaxis(directions(np.moveaxis(np.array(rows), 2, 0)), 0, 2))
+    at = np.flatnonzero(known)
+    return Directions.of(f_hz, np.array([[_between(f_hz, f_hz[at], g[at]) for g in row] for row in G]))
 
 
 def _between(f_hz: FloatArray, known_hz: FloatArray, values: ComplexArray) -> ComplexArray:
