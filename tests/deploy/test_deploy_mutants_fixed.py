@@ -3,9 +3,12 @@
 import re
 from collections import Counter
 
+import numpy as np
 import pytest
 from deploy_laws import code_in_words
 from test_deploy_mutants import survivors
+
+from ultraquiet.deploy.fixed_point.reach import all_corners
 
 OTHERS = [
     (r" \+ ", " - "),
@@ -117,6 +120,11 @@ def largest_effects(law, code):
     return effects
 
 
+def faint_drives(law):
+    """Return which states their measurements move by less than a count, however large: as `largest_effects`."""
+    return np.abs(law.B).sum(axis=1) * 2.0 ** (1 - law.shift_b) < 1.0
+
+
 def unnoticed(folder, cc, law, planted):
     """Return the faults that the self-test misses, without those that change nothing or less than a count."""
     code = (folder / "controller.c").read_text()
@@ -131,6 +139,11 @@ def unnoticed(folder, cc, law, planted):
         was, becomes = (re.sub(r"DOWN_U\[\d\]", "", text).strip() for text in (code.splitlines()[number - 1], line))
         if commands_alike and was == becomes:
             reasons.append("all commands go down by the same places")
+        places = re.search(r" DOWN_B\[\d+\] = \{(.*)\}", line)
+        if places:
+            now = [int(each.strip("U ")) for each in places[1].split(",")]
+            if not np.any((np.array(now) != law.shift_b + 2) & ~faint_drives(law)):
+                reasons.append("what goes down by other places is less than a count")
         forgets = re.search(r"sum(\d) = D\[\1\]\[j\]", line)
         if forgets and not law.D[int(forgets[1]), :-1].any():
             reasons.append("only the last input reaches that command at once")
@@ -139,6 +152,19 @@ def unnoticed(folder, cc, law, planted):
         left += [] if reasons or small else [said]
     print("; ".join(f"{count} {reason}" for reason, count in why.items()))
     return left
+
+
+@pytest.mark.parametrize(("form", "scaling"), [("modal", "l2"), ("delta", "l1")])
+def test_a_count_of_any_gain_is_seen_at_one_of_the_corners(rng, tmp_path, form, scaling):
+    """Every state but those of which a count of the gain is less than one of the command, however large they are."""
+    law = code_in_words(rng, tmp_path / "code", "q15", 4, 2, 2, ramp_s=0.004, form=form, scaling=scaling).law
+    corners, down = all_corners(law)[0], law.shift_u + law.bits - 2
+    x, y = corners[:, : law.states], corners[:, law.states :]
+    commands = (x @ law.C + y @ law.D[:, : law.inputs].T + 2 ** (down - 1)) >> down
+    inside = np.abs(commands) < law.top
+    for i, k in np.ndindex(law.outputs, law.states):
+        seen = np.abs(x[inside[:, i], k]).max(initial=0)
+        assert seen >= min(2 ** int(down[i]), law.top // 2), (k, i)
 
 
 def test_self_test_of_whole_numbers_notices_planted_faults(rng, tmp_path, cc):

@@ -21,8 +21,9 @@ def all_corners(law: FixedLaw) -> tuple[Whole, int]:
     touching, beyond = touching_corners(law), state_corners(law)
     # where no command touches its end, a state must, for the code that limits both is the same
     just = touching_steps(law) if len(beyond) and not len(touching) else beyond[:0]
-    steps = np.concatenate([turning_corners(law), beyond, just])
-    return np.concatenate([command_corners(law), touching, steps]), len(steps)
+    turning = turning_corners(law)
+    steps = np.concatenate([turning, beyond, just])
+    return np.concatenate([command_corners(law), touching, balanced_corners(law, turning), steps]), len(steps)
 
 
 def turning_corners(law: FixedLaw) -> Whole:
@@ -44,6 +45,30 @@ def turning_corners(law: FixedLaw) -> Whole:
                 corner[: law.states] = held
                 break
             size //= 2
+    return corners
+
+
+def balanced_corners(law: FixedLaw, turning: Whole) -> Whole:
+    """Return states `(corners, n + ny)` that keep a command inside its range where a count of any gain moves it by one.
+
+    One corner for each command that no `turning` corner shows so: it is beyond its range there, or states are smaller.
+    A state of 2^s words, s the places by which its sum goes down, carries it as far as its gain says, and signs that
+    balance the gains, the largest first, carry it no further than the largest of them.
+    """
+    top, rows, downs = law.top, law.C.T, law.shift_u + law.bits - 2
+    if not law.states:
+        return turning[:0]
+    x = turning[:, : law.states]
+    inside = np.abs(_rounded(x @ rows.T, downs)) <= top
+    large = np.abs(x).min(axis=1)[:, None] >= np.minimum(np.left_shift(np.int64(1), downs), top // 2)
+    unseen = ~(inside & large).any(axis=0)
+    corners = np.zeros((int(unseen.sum()), law.states + law.inputs), np.int64)
+    for corner, k in zip(corners, np.flatnonzero(unseen), strict=True):
+        total, size = 0, min(1 << int(downs[k]), top)
+        for i in np.argsort(-np.abs(rows[k]), kind="stable"):
+            sign = -1 if total * rows[k, i] > 0 else 1
+            total += sign * int(rows[k, i])
+            corner[i] = sign * size
     return corners
 
 
