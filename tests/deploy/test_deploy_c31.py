@@ -19,6 +19,7 @@ from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31
 from ultraquiet.deploy.c31.float_format import decode, encode
 from ultraquiet.deploy.c31.twin import C31Twin
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
+from ultraquiet.deploy.law.coefficients import anti_windup_gain
 from ultraquiet.deploy.law.law import actuator_limits
 from ultraquiet.deploy.law.realisation import Realisation
 from ultraquiet.deploy.law.rounding import rounded
@@ -47,7 +48,7 @@ def bank_in(rng, channels, form="bank", anti_windup=False, limit_v=8.0):
     blocks = tuple(p - np.eye(2) for p in pairs) if form == "bank-delta" else tuple(pairs)
     size = rng.standard_normal((2, *own.shape))
     parts = Realisation(form, blocks, size[0] * own, (size[1] * own).T, np.diag(rng.standard_normal(m)), 1.0, channels)
-    L = 0.1 * rng.standard_normal(own.shape) * own if anti_windup else None
+    L = anti_windup_gain(parts) if anti_windup else None
     return rounded(parts, L, actuator_limits(limit_v, m), "float32", rate_hz=3500.0, order=design.states)
 
 

@@ -8,6 +8,7 @@ from c31_vectors import Played
 from test_deploy_c31 import bank_in, law_in
 
 from ultraquiet.deploy.c31.assembly import c31_code
+from ultraquiet.deploy.c31.pushes import SURELY, unlimited_shares
 from ultraquiet.deploy.c31.vectors import vectors
 
 SWAPS = [
@@ -65,6 +66,7 @@ IDLE = "a gain needs no zero to begin with; without it the pipeline waits as lon
 UNSEEN = "what is cut off a gain's command corrects no state"
 HELD = "the last command still stands there too"
 FIRST = "a word other than a state: whatever these words are to begin with, the frames are the same"
+FAR = "no measurement brings that command to its limit, which nothing takes"
 LAST = "moves a pointer that nothing uses any more"
 
 
@@ -106,6 +108,17 @@ def is_last_command(lines, k, changed):
     # What a limit cut off another command stands there instead where the state hears of it.
     kept = len(loads) == 1 or not any(re.match(r"SUBF3 +\*AR2", bare(line)) for line in lines)
     return compared and kept and k > max(loads, default=-1)
+
+
+TAKEN = re.compile(r"LDF(LT|GT) +\*AR4")
+
+
+def is_out_of_reach(lines, k, law):
+    """Whether a line takes a limit of a command which no measurement brings there."""
+    if not TAKEN.match(bare(lines[k])):
+        return False
+    command, upper = divmod(sum(bool(TAKEN.match(bare(line))) for line in lines[:k]), 2)
+    return bool(unlimited_shares(law)[command, 1 - upper] * SURELY < 1)
 
 
 def label_of(lines, k):
@@ -174,6 +187,7 @@ def unnoticed(law, planted):
         reasons += [LAST] if is_last_move(lines, k, line) else []
         reasons += [UNSEEN] if is_of_a_gain(lines, k, law) else []
         reasons += [HELD] if is_last_command(lines, k, line) else []
+        reasons += [FAR] if is_out_of_reach(lines, k, law) else []
         reasons += [FIRST] if section == "state" and label_of(lines, k) != "controller_x" else []
         reasons += [IDLE] if is_overwritten(lines, k, line) else []
         why[reasons[0] if reasons else "UNNOTICED"] += 1
