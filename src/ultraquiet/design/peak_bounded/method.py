@@ -24,9 +24,8 @@ from ultraquiet.analyse.margins import bounded_response
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.hinf.band_attenuation import common_mode
-from ultraquiet.design.law_structure.controller_structure import ControllerStructure
 from ultraquiet.design.law_structure.plane import plane_of
-from ultraquiet.design.peak_bounded.campaign import SearchFromStarts
+from ultraquiet.design.peak_bounded.campaign import SearchFromStarts, Start
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db
@@ -88,7 +87,8 @@ class PeakBounded(StatedRobustness):
         start: a design, its table with a `method`, or a law, to begin with; a scalar one for the scalar structures, or
             one that repeats it on every channel.
             `BandAttenuation` of each of the first three plants when absent, `Lqg` and `MixedSensitivity` where no band
-            is given either, for what all channels share where the structure is scalar.
+            is given either, for what all channels share where the structure is scalar; for `decentralised` laws also
+            what a search finds from there for all channels alike.
         steps: of the search on the plants given, and half as many whenever plants drawn join it, at most.
         seed: of the draws.
 
@@ -179,7 +179,7 @@ class PeakBounded(StatedRobustness):
         # S and T of a law K W on G are those of K on W G, and K W S is nowhere larger than K S: every bound holds
         heard, heard_near = ([heard_through(g, self.washout_hz) for g in some] for some in (scaled, near))
         campaign = SearchFromStarts(demands, heard, heard_near, self.steps, top[0])
-        law = campaign.best(self._begin(scaled, units, structure))
+        law = campaign.best(self._begin(scaled, units, structure, heard, self.start))
         if law is None:
             return refused(f"{WHO}: no start is stable with every plant; give another 'start', or less spread.")
         law = behind(law, self.washout_hz)
@@ -222,9 +222,14 @@ class PeakBounded(StatedRobustness):
         )
 
     def _begin(
-        self, plants: Sequence[StateSpace], units: SearchUnits, structure: str
-    ) -> list[tuple[ControllerStructure, FloatArray]]:
-        """Return structures of the law with the parameters to begin with."""
+        self,
+        plants: Sequence[StateSpace],
+        units: SearchUnits,
+        structure: str,
+        heard: Sequence[StateSpace],
+        start: Any,
+    ) -> list[Start]:
+        """Return structures of the law with the parameters to begin with: the caller's, or own where it is None."""
         first = plants[0]
         scalar, n, plane = structure != FULL, first.D.shape[0], plane_of(first)
         places = None
@@ -235,8 +240,8 @@ class PeakBounded(StatedRobustness):
         elif structure == SYMMETRIC:
             places = Places.of(*_coordinates(self.coordinates, self.blocks, n))
         tones = plane.of_hz(np.array(self.tones_hz, dtype=np.float64))
-        out: list[tuple[ControllerStructure, FloatArray]] = []
-        for law in self._start_laws(plants, units, scalar):
+        out: list[Start] = []
+        for law in self._laws(plants, units, structure, heard, start):
             if law.D.shape != ((1, 1) if scalar else first.D.shape[::-1]):
                 raise InputError(f"{WHO}: the law to begin with has shape {law.D.shape}, which does not fit.")
             one = begun(plane, law, places, self.states, tones, self.tone_zeta)
@@ -245,18 +250,43 @@ class PeakBounded(StatedRobustness):
             raise InputError(f"{WHO}: the law to begin with has modes that cannot be told apart; give another 'start'.")
         return out
 
-    def _start_laws(self, plants: Sequence[StateSpace], units: SearchUnits, scalar: bool) -> list[StateSpace]:
-        """Return laws to begin with, in the units of the search: the caller's alone where there is one."""
-        start, first = self.start, plants[0]
-        if start is None:
-            limit = _inverting(first, units.band_hz)
-            # a law begun with one unit's model inverts modes that another may not have, and keeps them
-            begin = partial(starts, band_hz=units.band_hz, limit=limit, scalar=scalar)
-            if self.band_hz is None:
-                begin = partial(unasked_starts, disk_margin=self.disk_margin, scalar=scalar)
-            own = [law for g in plants[:BEGUN] for law in begin(g)]
-            little = [hardly(first, units.band_hz, self.states, scalar)] if first.is_stable() else []
-            return [*own, *little]
+    def _laws(
+        self,
+        plants: Sequence[StateSpace],
+        units: SearchUnits,
+        structure: str,
+        heard: Sequence[StateSpace],
+        start: Any,
+    ) -> list[StateSpace]:
+        """Return laws to begin with, in the units of the search: the caller's where there is one.
+
+        Laws of their own for all channels begin with what a search finds for all alike as well: from poorer ones, what
+        bounds one channel keeps all others where they are.
+        """
+        scalar = structure != FULL
+        own = start is None
+        laws = self._own_laws(plants, units, scalar) if own else [self._law_of(start, plants[0], units, scalar)]
+        if structure != DECENTRALISED or plants[0].D.shape[0] == 1:
+            return laws
+        demands, top = self._demands(plants, units, REPEATED)
+        search = SearchFromStarts(demands, heard, (), self.steps, top[0])
+        alike = search.best(self._begin(plants, units, REPEATED, heard, start))
+        return laws if alike is None else [of_one_channel(alike)[0], *laws]
+
+    def _own_laws(self, plants: Sequence[StateSpace], units: SearchUnits, scalar: bool) -> list[StateSpace]:
+        """Return laws of other designs to begin with, and one that hardly acts, in the units of the search."""
+        first = plants[0]
+        limit = _inverting(first, units.band_hz)
+        # a law begun with one unit's model inverts modes that another may not have, and keeps them
+        begin = partial(starts, band_hz=units.band_hz, limit=limit, scalar=scalar)
+        if self.band_hz is None:
+            begin = partial(unasked_starts, disk_margin=self.disk_margin, scalar=scalar)
+        own = [law for g in plants[:BEGUN] for law in begin(g)]
+        little = [hardly(first, units.band_hz, self.states, scalar)] if first.is_stable() else []
+        return [*own, *little]
+
+    def _law_of(self, start: Any, first: StateSpace, units: SearchUnits, scalar: bool) -> StateSpace:
+        """Return the law to begin with that a caller gives or names, in the units of the search."""
         if not isinstance(start, StateSpace):
             if isinstance(start, Mapping):
                 settings = {key: value for key, value in start.items() if key != "method"}
@@ -269,8 +299,8 @@ class PeakBounded(StatedRobustness):
         if scalar:
             start, _ = of_one_channel(start)
         if scalar and start.D.shape == (1, 1):
-            return [StateSpace(start.A, start.B, start.C / units.control, start.D / units.control, start.rate_hz)]
-        return [units.taken(start)]
+            return StateSpace(start.A, start.B, start.C / units.control, start.D / units.control, start.rate_hz)
+        return units.taken(start)
 
     def _demands(
         self, plants: Sequence[StateSpace], units: SearchUnits, structure: str
