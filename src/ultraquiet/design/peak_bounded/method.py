@@ -179,7 +179,7 @@ class PeakBounded(StatedRobustness):
         # S and T of a law K W on G are those of K on W G, and K W S is nowhere larger than K S: every bound holds
         heard, heard_near = ([heard_through(g, self.washout_hz) for g in some] for some in (scaled, near))
         campaign = SearchFromStarts(demands, heard, heard_near, self.steps, top[0])
-        law = campaign.best(self._begin(scaled, units, structure, heard, self.start))
+        law = campaign.best(self._begin(scaled[0], structure, self._laws(scaled, units, structure, heard)))
         if law is None:
             return refused(f"{WHO}: no start is stable with every plant; give another 'start', or less spread.")
         law = behind(law, self.washout_hz)
@@ -221,16 +221,8 @@ class PeakBounded(StatedRobustness):
             steps=campaign.taken,
         )
 
-    def _begin(
-        self,
-        plants: Sequence[StateSpace],
-        units: SearchUnits,
-        structure: str,
-        heard: Sequence[StateSpace],
-        start: Any,
-    ) -> list[Start]:
-        """Return structures of the law with the parameters to begin with: the caller's, or own where it is None."""
-        first = plants[0]
+    def _begin(self, first: StateSpace, structure: str, laws: Sequence[StateSpace]) -> list[Start]:
+        """Return structures of the law with the parameters of laws to begin with, in the units of the search."""
         scalar, n, plane = structure != FULL, first.D.shape[0], plane_of(first)
         places = None
         if structure == REPEATED:
@@ -241,7 +233,7 @@ class PeakBounded(StatedRobustness):
             places = Places.of(*_coordinates(self.coordinates, self.blocks, n))
         tones = plane.of_hz(np.array(self.tones_hz, dtype=np.float64))
         out: list[Start] = []
-        for law in self._laws(plants, units, structure, heard, start):
+        for law in laws:
             if law.D.shape != ((1, 1) if scalar else first.D.shape[::-1]):
                 raise InputError(f"{WHO}: the law to begin with has shape {law.D.shape}, which does not fit.")
             one = begun(plane, law, places, self.states, tones, self.tone_zeta)
@@ -251,12 +243,7 @@ class PeakBounded(StatedRobustness):
         return out
 
     def _laws(
-        self,
-        plants: Sequence[StateSpace],
-        units: SearchUnits,
-        structure: str,
-        heard: Sequence[StateSpace],
-        start: Any,
+        self, plants: Sequence[StateSpace], units: SearchUnits, structure: str, heard: Sequence[StateSpace]
     ) -> list[StateSpace]:
         """Return laws to begin with, in the units of the search: the caller's where there is one.
 
@@ -264,13 +251,13 @@ class PeakBounded(StatedRobustness):
         bounds one channel keeps all others where they are.
         """
         scalar = structure != FULL
-        own = start is None
-        laws = self._own_laws(plants, units, scalar) if own else [self._law_of(start, plants[0], units, scalar)]
+        own = self.start is None
+        laws = self._own_laws(plants, units, scalar) if own else [self._given_law(plants[0], units, scalar)]
         if structure != DECENTRALISED or plants[0].D.shape[0] == 1:
             return laws
         demands, top = self._demands(plants, units, REPEATED)
         search = SearchFromStarts(demands, heard, (), self.steps, top[0])
-        alike = search.best(self._begin(plants, units, REPEATED, heard, start))
+        alike = search.best(self._begin(plants[0], REPEATED, laws))
         return laws if alike is None else [of_one_channel(alike)[0], *laws]
 
     def _own_laws(self, plants: Sequence[StateSpace], units: SearchUnits, scalar: bool) -> list[StateSpace]:
@@ -285,8 +272,9 @@ class PeakBounded(StatedRobustness):
         little = [hardly(first, units.band_hz, self.states, scalar)] if first.is_stable() else []
         return [*own, *little]
 
-    def _law_of(self, start: Any, first: StateSpace, units: SearchUnits, scalar: bool) -> StateSpace:
+    def _given_law(self, first: StateSpace, units: SearchUnits, scalar: bool) -> StateSpace:
         """Return the law to begin with that a caller gives or names, in the units of the search."""
+        start = self.start
         if not isinstance(start, StateSpace):
             if isinstance(start, Mapping):
                 settings = {key: value for key, value in start.items() if key != "method"}
