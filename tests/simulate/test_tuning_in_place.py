@@ -91,7 +91,7 @@ def test_the_hexapod_is_tuned_on_units_drawn_with_hysteresis():
         assert peak < 12.0
 
 
-# 49 of 50 units drawn, five draws of ten, got 21.4 to 26.9 dB at 5.9 dB of peak at most; the record of one gave a model
+# 39 of 40 units drawn, four draws of ten, got 21.4 to 26.9 dB at 5.9 dB of peak at most; the record of one gave a model
 # with a mode at 50 Hz that is not there, and a law that is `short`, as its status says.
 @pytest.mark.slow
 @pytest.mark.draws(false_alarm=0.2)
