@@ -158,22 +158,21 @@ class OpenBand:
         level = np.full((len(self.first), self.grid_hz.size), BEGIN)
         levels = self.short.run(None, self.first, level, LEVELLINGS).better
         made = self.first, self.rested(None, self.first, levels, self.resting)
-        best, fewest = made, self._hidden(made[1])
+        deviation = deviation_of(made[1], self.noise)
+        best, fewest = made, np.count_nonzero(deviation >= HEARD)
         for _ in range(SHARPENED):
-            if (better := self._sharper(made[1])) is None:
+            if (better := self._sharper(made[1], deviation)) is None:
                 break
             made = better, self.rested(None, better, made[1].better, self.resting)
-            if (hidden := self._hidden(made[1])) < fewest:
+            deviation = deviation_of(made[1], self.noise)
+            if (hidden := np.count_nonzero(deviation >= HEARD)) < fewest:
                 best, fewest = made, hidden
         return best
 
-    def _hidden(self, runs: Runs) -> int:
-        return int(np.count_nonzero(deviation_of(runs, self.noise) >= HEARD))
-
-    def _sharper(self, runs: Runs) -> Directions | None:
+    def _sharper(self, runs: Runs, deviation: FloatArray) -> Directions | None:
         """Return sharper directions, where these may be driven louder at lines that a run did not hear, or None."""
         own = slice(None, None, self.sweep.finer)  # lines of a run
-        f_hz, deviation = self.sweep.lines_hz[own], deviation_of(runs, self.noise)[own]
+        f_hz, deviation = self.sweep.lines_hz[own], deviation[own]
         G = self._in_ranges(over(runs.heard, runs.sent)[:, :, own])
         faint = (deviation >= HEARD) & (deviation < KNOWN)
         if np.count_nonzero(faint) <= OPEN_LINES:

@@ -31,8 +31,7 @@ class Directions:
     def at(self, k: int, f_hz: FloatArray) -> ComplexArray:
         """Return one of them at frequencies between its own, `(nu, frequencies)`."""
         at, own = np.log(np.maximum(f_hz, np.finfo(float).tiny)), np.log(self.f_hz)
-        rows = self.vectors[:, k]
-        return np.array([np.interp(at, own, row.real) + 1j * np.interp(at, own, row.imag) for row in rows], complex)
+        return np.array([between(at, own, row) for row in self.vectors[:, k]], complex)
 
     def loudest(self, G: ComplexArray, heard: float, driven: float) -> FloatArray:
         """Return how loud each may be, `(k, points)`, where so much is heard and driven, in shares of ranges.
@@ -41,6 +40,11 @@ class Directions:
         """
         moved = np.abs(np.einsum("ijl,jkl->ikl", G, self.vectors)).max(axis=0)
         return np.minimum(heard / np.maximum(moved, np.finfo(float).tiny), driven / np.abs(self.vectors).max(axis=0))
+
+
+def between(at: FloatArray, known: FloatArray, values: ComplexArray) -> ComplexArray:
+    """Return complex values between those at known places, the first and the last beyond them."""
+    return np.interp(at, known, values.real) + 1j * np.interp(at, known, values.imag)
 
 
 def directions(G: ComplexArray) -> ComplexArray:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.simulate.sweeps.directions import Directions
+from ultraquiet.simulate.sweeps.directions import Directions, between
 
 
 def sharper(f_hz: FloatArray, G: ComplexArray, known: np.ndarray) -> Directions:
@@ -18,8 +18,4 @@ def sharper(f_hz: FloatArray, G: ComplexArray, known: np.ndarray) -> Directions:
         known: the lines, one at least, at which noise leaves the weakest direction; others lie between them.
     """
     at = np.flatnonzero(known)
-    return Directions.of(f_hz, np.array([[_between(f_hz, f_hz[at], g[at]) for g in row] for row in G]))
-
-
-def _between(f_hz: FloatArray, known_hz: FloatArray, values: ComplexArray) -> ComplexArray:
-    return np.interp(f_hz, known_hz, values.real) + 1j * np.interp(f_hz, known_hz, values.imag)
+    return Directions.of(f_hz, np.array([[between(f_hz, f_hz[at], g[at]) for g in row] for row in G]))
