@@ -45,6 +45,7 @@ class Burst:
         seed: of the signs.
         hums_hz: tones that the bench holds without a law too.
         outside_hz: those of them that are known to be no modes of the loop.
+        ends: sample of the burst from which on it is silent; None where it lasts for its length.
     """
 
     levels: FloatArray
@@ -59,6 +60,12 @@ class Burst:
     seed: int = 0
     hums_hz: tuple[float, ...] = ()
     outside_hz: tuple[float, ...] = ()
+    ends: int | None = None
+
+    @property
+    def lasts(self) -> int:
+        """Samples for which it is not silent."""
+        return self.length if self.ends is None else self.ends
 
     def signal(self) -> FloatArray:
         """Return the disturbance `(nu, length + samples)`."""
@@ -74,7 +81,7 @@ class Burst:
             phases = rng.uniform(0, 2 * np.pi, (len(self.levels), len(self.modes_hz), 1))
             tones = _peak_one(np.sin(angle + phases).sum(axis=1))
             shape = self.random_share * shape + self.tone_share * tones
-        d[:, : self.length] = self.levels[:, None] * shape
+        d[:, : self.lasts] = self.levels[:, None] * shape[:, : self.lasts]
         return d
 
 
@@ -288,6 +295,12 @@ def louder(bench: Bench, law: StateSpace | Controller, burst: Burst) -> tuple[Bu
         burst = replace(burst, levels=2 * burst.levels)
         found = kicked(bench, law, burst)
     return burst, found
+
+
+def ended_early(burst: Burst, runs: Iterable[Record]) -> Burst:
+    """Return the burst that is silent from where, in one of its runs, a channel uses more than it may at most."""
+    over = np.any([(used(run)[:, : burst.lasts] > AT_MOST).any(axis=0) for run in runs], axis=0)
+    return replace(burst, ends=int(np.argmax(over))) if over.any() else burst
 
 
 def with_tones(bench: Bench, law: StateSpace | Controller, burst: Burst, modes_hz: tuple[float, ...]) -> Burst:

@@ -89,8 +89,8 @@ def check_stability(
     second half of the record are fitted, y_t = sum c_i exp((a_i + 2 pi i f_i) t). The loop is
 
     * unstable when one a_i exceeds zero by four standard deviations, or commands stay at their limits; also where that
-      is so after loud bursts, tones at the slowest modes among them, and not, in proportion, after weaker ones, as
-      where something sticks (`sticking.py`);
+      is so after loud bursts that end within half of the ranges, tones at the slowest modes among them, and not, in
+      proportion, after weaker ones, as where something sticks (`sticking.py`);
     * ok when everything was followed down to the noise, decaying: from a third of the channels' ranges, and where that
       takes longer than the record, again from near the noise;
     * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does, noise

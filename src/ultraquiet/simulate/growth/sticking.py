@@ -6,6 +6,7 @@ after one burst, and was nowhere near them at the same time after one a little w
 """
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 
@@ -17,7 +18,7 @@ from ultraquiet.simulate.free_response import VISIBLE, Mode
 from ultraquiet.simulate.growth.lowered import within_limits
 from ultraquiet.simulate.growth.repeated import repeated
 from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, LONGER, Seen, apart, decaying_before, judged, loudness
-from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, tones_alone, used
+from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, ended_early, kicked, louder, tones_alone, used
 from ultraquiet.values import Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
@@ -25,6 +26,7 @@ from ultraquiet.values.controller import Controller
 NEAR, BETWEEN, OUT_OF_PROPORTION = 1.3, 6, 3.0
 # Modes that are given a tone of their own; they decay by less than this in e-folds within a burst.
 MOST_ALONE, RINGS = 6, 100.0
+DIRECTIONS = 4  # in which a burst is to show that the loop grows by itself, before it is held not to
 JUST_BEFORE = 16  # samples before a channel first stands at its limit
 # Of what a burst set going, nothing to speak of; of what it was three eighths of a record before, less.
 DEAD, FALLING = 0.01, 0.5
@@ -85,7 +87,11 @@ def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen,
             falls = _falls(found, seen.mode) or (asked and _is_slow(again.mode, found))
             return again if grows else None if falls else _rings_on(bench, burst, again)
         burst, found = _watched_longer(bench, law, burst, seen)
-    return _at_limits(bench, law, (burst, found), seen)
+    grown = _at_limits(bench, law, (burst, found), seen)
+    if grown is not None or burst.ends is not None:
+        return grown
+    in_time = ended_early(burst, found.runs)
+    return _grown(bench, law, (in_time, kicked(bench, law, in_time)), seen, doubts)
 
 
 def _unheard(again: Seen, seen: Seen, known: list[float]) -> list[float]:
@@ -147,19 +153,42 @@ def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: S
         weak = within_limits(bench, law, *loud)
         if weak[1].limited > CLIPPED_SHARE:
             return None
-        loud, weak = _nearer(bench, law, loud, weak)
-        times = OUT_OF_PROPORTION * _ratio(loud, weak)
-        if any(_out_of_proportion(*runs, times) for runs in zip(loud[1].runs, weak[1].runs, strict=True)):
-            after = f"After a burst of {_size(bench, loud[0])} {loud[1].what_is_limited}s stay at their limits"
+        near, weak = _nearer(bench, law, loud, weak)
+        times = OUT_OF_PROPORTION * _ratio(near, weak)
+        disproportionate = any(
+            _out_of_proportion(*runs, times) for runs in zip(near[1].runs, weak[1].runs, strict=True)
+        )
+        if disproportionate and (grown := _by_itself(bench, law, near, loud)):
+            after = f"After a burst of {_size(bench, grown[0])} {grown[1].what_is_limited}s stay at their limits"
             sentence = (
                 f"{after}, out of proportion to one of {_size(bench, weak[0])}, after which it dies: the bench does "
                 "more for a loud command, as where something sticks until it gives way, and there the loop grows."
             )
-            return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence, record=loud[1])
-        if loud[0].samples >= _longest(seen):
+            return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence, record=grown[1])
+        if near[0].samples >= _longest(seen):
             break
-        loud = _watched_longer(bench, law, loud[0], seen)
+        loud = _watched_longer(bench, law, near[0], seen)
     return None  # a stable loop may stay at its limits once it is there
+
+
+def _by_itself(bench: Bench, law: StateSpace | Controller, *bursts: _Heard) -> _Heard | None:
+    """Return the first of the bursts after which channels stay at their limits, were it but within its share of them.
+
+    A tone that hardly overcomes what sticks does so much more than one that does not, and may drive a stable loop to
+    limits that hold it there. Where a burst that ends in time dies, others are tried, which throw the loop elsewhere.
+    """
+    for burst, heard in chain(bursts, _others(bench, law, bursts)):
+        free = kicked(bench, law, ended_early(burst, heard.runs))
+        if free.limited > CLIPPED_SHARE:
+            return burst, free
+    return None
+
+
+def _others(bench: Bench, law: StateSpace | Controller, bursts: Iterable[_Heard]) -> Iterator[_Heard]:
+    for burst, _ in bursts:
+        for more in range(1, DIRECTIONS):
+            other = replace(burst, seed=burst.seed + more)
+            yield other, kicked(bench, law, other)
 
 
 def _nearer(bench: Bench, law: StateSpace | Controller, loud: _Heard, weak: _Heard) -> tuple[_Heard, _Heard]:
