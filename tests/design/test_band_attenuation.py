@@ -131,6 +131,7 @@ def test_tones_are_cancelled_besides(ground):
     assert tones.min() > 30
 
 
+@pytest.mark.slow
 def test_lqg_default_quiets_the_true_bench(ground):
     result = Lqg(band_hz=(9.0, 108.0), control_weight=1e-8).design(ground)
     worst, peak = judged("LQG, true model", ground, result.controller)

@@ -52,6 +52,7 @@ def test_decoupled_is_a_check_on_the_full_design(ground, transform):
     assert small.details["attenuation_db"] == pytest.approx(worst[0], abs=0.05)
 
 
+@pytest.mark.slow
 def test_equal_blocks_share_their_law(ground):
     result = Decoupled(transform="threefold", settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(ground)
     loops = result.details["loops"]
@@ -71,6 +72,7 @@ def test_a_hidden_transform_is_found(rng):
     assert result.details["residue"] < 1e-6
 
 
+@pytest.mark.gate("3867583413")
 @pytest.mark.parametrize("number", [3867583413, 700242])
 def test_what_does_not_split_is_designed_as_it_is(number):
     """Shapes that no axes part; and, second, a weak loop that coupling of 9.5 % of the strong one upsets."""

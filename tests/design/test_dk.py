@@ -162,6 +162,7 @@ def test_fit_near_finds_a_filter_again(rng):
     assert np.all(W.zeros.real < 0)
 
 
+@pytest.mark.slow
 def test_each_loop_is_fitted_once_and_idle_gains_end_the_search(monkeypatch):
     """A lag that turns its sign every sample: nothing is quiet at any gain, and nine gains were iterated for it."""
     fitted, tried = [], []

@@ -62,6 +62,7 @@ def share(result, plant):
     return {name: float((np.linalg.norm(made[name], 2, axis=(1, 2)) / left[name]).max()) for name in left}
 
 
+@pytest.mark.gate("default over a band", "loop shaping", "paper", "skst")
 @pytest.mark.parametrize("name", METHODS)
 def test_no_loop_lies_above_what_its_cost_leaves(name, rng):
     method, weighted = METHODS[name]

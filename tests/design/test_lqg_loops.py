@@ -73,6 +73,7 @@ def test_a_delay_is_not_recovered_and_says_so(rng, at):
     assert error > 0.3
 
 
+@pytest.mark.slow
 def test_covariances_in_full_are_scalars_when_they_are(rng):
     plant = bench_like(rng, 4)
     one = Lqg(**BAND, disturbance=0.3, sensor_noise=0.02).design(plant)

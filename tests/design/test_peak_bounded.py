@@ -83,6 +83,7 @@ def uneven(rng, channels, rate_hz=2000.0):
 
 # 2 of 79 draws end 6 and 7 dB louder: each structure is searched in units of its own, and either may end elsewhere.
 # Without the search for all alike all of six ended 3 to 21 dB louder.
+@pytest.mark.slow
 @pytest.mark.draws(false_alarm=0.08)
 def test_laws_of_their_own_for_all_channels_are_no_louder_than_one_for_all(rng):
     plant = uneven(rng, int(rng.integers(2, 5)))

@@ -93,6 +93,7 @@ def test_killed_while_it_streams(count, kill, tmp_path, rng):
     assert sum(n > 0 for n in kept) > count / 2
 
 
+@pytest.mark.gate("7")
 @pytest.mark.parametrize("block", [7, 175, 5000])
 def test_killed_while_it_writes(block, kill, tmp_path, rng):
     """Writing never pauses, so that every kill strikes inside a write or a sync."""

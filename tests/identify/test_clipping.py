@@ -32,7 +32,7 @@ def test_repair_restores_the_gain(seed):
     assert mended < 0.5
 
 
-@pytest.mark.gate("1-1-memory", "3-4-memory", "5-3-disk")
+@pytest.mark.gate("1-1-memory", "5-3-disk")
 @pytest.mark.parametrize("stored", [False, True], ids=["memory", "disk"])
 @pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])
 def test_a_subspace_that_repairs_nothing_praises_no_cut_output(stored, nu, ny, rng, tmp_path):

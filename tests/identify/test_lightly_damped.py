@@ -115,6 +115,7 @@ def test_a_plant_beside_its_noise_is_both(rng):
     assert joined.errors(record.inputs, plant.simulate(record.inputs) + noise) == pytest.approx(e, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_slow_modes_in_coloured_noise(rng):
     plant = modal(rng, [12.0, 150.0, 400.0], 0.02, 3, 2)
     record, clean = noisy(rng, plant, 5000, 40.0)

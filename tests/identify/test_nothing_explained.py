@@ -52,6 +52,7 @@ def test_noise_of_no_input_is_called_alike_by_all(method, rng):
     assert found.status.word == "poor fit"
 
 
+@pytest.mark.gate("recursive armax", "recursive box-jenkins")
 @pytest.mark.draws(false_alarm=2.4e-2)  # twelve times two tests at the level of a thousandth
 @pytest.mark.parametrize("method", ["impulse", "recursive armax", "recursive box-jenkins"])
 def test_a_model_of_nothing_may_end_anywhere(method, rng):

@@ -191,6 +191,7 @@ def test_what_a_record_leaks_is_fitted_with_it(rng):
     assert found.fit_percent[0] > 98.0
 
 
+@pytest.mark.slow
 def test_two_inertia_bench_by_its_periods():
     """Order by the data, judged on periods the fit has not seen; the response at the lines alone gives 89.8 / 90.6 %.
 
@@ -293,6 +294,7 @@ def sharp(rng, ny, nu, units):
     return plant, uq.Record(u, y + 0.1 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), 1000.0)
 
 
+@pytest.mark.gate("1-1-1.0")
 @pytest.mark.draws(false_alarm=5e-3)  # one of 305 draws is off by 0.407 at a peak
 @pytest.mark.parametrize(("ny", "nu", "units"), [(1, 1, 1.0), (2, 3, 1e6)])
 def test_modes_sharper_than_a_window_are_found_at_their_order(rng, ny, nu, units):

@@ -14,6 +14,7 @@ from ultraquiet.values.interconnect import append
 ROUNDING_DB = 0.02
 
 
+@pytest.mark.gate("stable")
 @pytest.mark.parametrize("growth", [1.0, 1.02], ids=["stable", "unstable"])
 def test_no_lqg_controller_beats_its_limit(rng, growth):
     for _ in range(4):
@@ -25,7 +26,7 @@ def test_no_lqg_controller_beats_its_limit(rng, growth):
             assert found.left_db >= -ROUNDING_DB
 
 
-@pytest.mark.gate("shape1")
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(3, 2), (2, 3)])
 def test_no_controller_of_a_rectangular_plant_beats_its_limit(rng, shape):
     """Of a tall plant no controller moves all directions: what is left out stays at 0 dB or above."""

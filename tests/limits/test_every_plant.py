@@ -74,6 +74,7 @@ def test_real_plants_within_the_uncertainty_are_stable_and_quiet(rng):
     assert 20 * np.log10(peak) <= 6.0 + 20 * np.log10(BETWEEN_POINTS)
 
 
+@pytest.mark.gate("1.0")
 @pytest.mark.parametrize("unit", [1.0, 1e9])
 def test_more_uncertainty_leaves_less(unit):
     plant = StateSpace(LAG.A, LAG.B, unit * LAG.C, LAG.D, RATE_HZ)
@@ -116,7 +117,7 @@ def test_where_nothing_is_asked_nothing_is_broken_even_by_a_plant_that_may_be_un
     assert asked.reached(q, 0.5) == pytest.approx([0.5 / (1 - 0.05) / 0.5, np.inf, 0.0])
 
 
-@pytest.mark.gate("shape0")
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(4, 3), (3, 5)])
 def test_the_bound_of_a_direction_holds_for_a_law_of_all_channels(rng, shape):
     """What a law of all channels does along v, to the plant off by e v v' that suits it least, is within the bound."""
@@ -139,6 +140,7 @@ def test_the_bound_of_a_direction_holds_for_a_law_of_all_channels(rng, shape):
         assert worst <= found.robust.bound_db + 0.02
 
 
+@pytest.mark.gate("0.3")
 @pytest.mark.parametrize("error", [0.1, 0.3, 0.6])
 def test_where_little_can_be_had_no_control_is_never_worse(error):
     """With next to no gain S = 1 is among what is sought: 0 dB on every plant, and what beats it is not passed by."""
@@ -184,6 +186,7 @@ def test_alike_channels_have_the_robust_limit_of_one():
         assert found.limit.bound_db == pytest.approx(one.bound_db, abs=0.1)
 
 
+@pytest.mark.slow
 def test_demands_are_shapes_over_frequency():
     peak = ([5.0, 15.0, 200.0], [2.0, 2.0, 8.0])
     gains = ([100.0, 150.0], [20.0, 1.0])

@@ -72,6 +72,7 @@ def test_levels_at_a_tone_have_the_units_of_their_channels():
         np.testing.assert_array_equal(getattr(levels, new), getattr(tone, old))
 
 
+@pytest.mark.slow
 def test_a_loop_of_which_noise_hides_everything_is_not_called_unstable(monkeypatch):
     """Two actuators that do nearly the same, heard through noise: the loop decays, its sensitivity is not heard."""
     plant = StateSpace(0.9 * np.eye(2), [[0.1, 0.1], [0.1, 0.1001]], np.eye(2), np.zeros((2, 2)), 1000.0)

@@ -56,6 +56,7 @@ def test_a_law_that_follows_an_offset_within_its_limits_is_ok():
     assert within.status.word == "ok"
 
 
+@pytest.mark.slow
 def test_what_a_law_of_two_lags_heaps_up_is_no_growth():
     """Behind two slow lags what an offset drives grows as time squared, far below half of it half the time before."""
     a = 0.9995
@@ -65,6 +66,7 @@ def test_what_a_law_of_two_lags_heaps_up_is_no_growth():
     assert check.status.word == "not known"
 
 
+@pytest.mark.gate("0.5")
 @pytest.mark.parametrize("offset", [0.05, 0.5])
 def test_growth_that_an_offset_drives_to_its_limits_is_known(offset):
     """However weak the burst, the step of the offset grows until a command stands at its limit: that is the growth."""

@@ -21,12 +21,14 @@ def test_an_offset_that_a_law_integrates_and_the_plant_blocks_ramps(offset, gain
     assert slope == pytest.approx(offset * abs(gain) * RATE_HZ, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_law_that_leaks_comes_to_rest():
     check = uq.simulate.check_stability(one_mode("rate", "mm/s", offset=1e-1, blocks_rest=True), law(0.99, -1e-2), 8.0)
     print(check.status)
     assert check.status.word == "ok"
 
 
+@pytest.mark.slow
 def test_an_integrator_that_the_loop_feels_is_ok():
     """Its command goes where the offset sends it, and stays."""
     check = uq.simulate.check_stability(one_mode("rate", "mm/s", offset=1e-1, blocks_rest=False), law(1.0, -2e-3), 8.0)

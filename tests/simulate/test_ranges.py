@@ -43,6 +43,7 @@ def test_a_range_that_begins_at_zero_is_counted_from_where_a_reading_rests(low, 
     assert found.status.ok
 
 
+@pytest.mark.slow
 def test_what_a_slow_law_makes_of_an_offset_is_no_noise():
     """It dies with 1.6 a second, long after the middle of a run of the faster band; the loop is the same."""
     benches = rig(-np.inf, np.inf, 0.0), rig(0.0, 10.0, 5.0)

@@ -134,6 +134,7 @@ def test_what_hums_without_the_law_too_is_no_mode_of_the_loop(rng, apart, hz):
         assert check.growth_hz == pytest.approx(loop.f_hz, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_slow_pair_at_the_very_frequency_of_a_hum_is_not_left_out_with_it():
     """Pairs of 1 + 2e-6, which a burst rings and which go on ringing: the hum is from outside, they are not."""
     rng = np.random.default_rng(2)

@@ -84,6 +84,7 @@ def each_fault():
     return [pytest.param(about, marks=weak if about == "order too low" else ()) for about in FAULTS]
 
 
+@pytest.mark.gate("order too low", "order too high", "offset", "resolution")
 @pytest.mark.parametrize("about", each_fault())
 def test_a_fault_is_named(about, rng):
     count = heard(rng, *FAULTS[about])
@@ -91,6 +92,7 @@ def test_a_fault_is_named(about, rng):
     assert count[about] >= DRAWS - 3
 
 
+@pytest.mark.slow
 def test_a_delay_set_wrongly_is_named(rng):
     long = heard(rng, as_it_is, BJ(order=5, delay=4))
     brief = heard(rng, as_it_is, BJ(order=5, b_order=6, delay=0))

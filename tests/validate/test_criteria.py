@@ -66,6 +66,7 @@ def test_bic_and_mdl_find_order_two_of_arx(rng):
     assert tally["aic"][2] >= 40
 
 
+@pytest.mark.slow
 def test_initial_conditions_count_where_they_are_fitted(rng):
     """Two of a second-order ARX and of each path of an output error, n of a state space, and a constant an output."""
     u = rng.standard_normal((2, 1500))

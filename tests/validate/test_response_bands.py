@@ -33,6 +33,7 @@ def test_bands_cover_and_the_error_is_near_the_bound(rng):
         assert 93 - 2 * error < share < 97 + 2 * error
 
 
+@pytest.mark.slow
 def test_bands_cover_on_sixty_records(rng):
     ratio, shares = judged(rng, 60)
     assert ratio < 1.3 * 1.25  # the mean over 60 records scatters by some 5 %
