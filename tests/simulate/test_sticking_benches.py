@@ -7,7 +7,9 @@ from one_mode import ANGLE, difference, one_mode
 
 import ultraquiet as uq
 from ultraquiet.simulate import disturb
-from ultraquiet.simulate.kick import AT_MOST, Burst, ended_early, kicked, used
+from ultraquiet.simulate.growth.sticking import sticking
+from ultraquiet.simulate.growth.verdict import judged
+from ultraquiet.simulate.kick import AT_MOST, Burst, Bursts, ended_early, kicked, used
 
 RANGE_N = 10.0
 THROWS = 10  # of each kind: none leaves a loop at its limits that is called unstable and is not
@@ -56,6 +58,16 @@ def test_a_burst_that_ends_early_is_silent_from_where_a_channel_uses_half_of_its
     assert (early.signal()[:, early.ends :] == 0).all()
     assert (early.signal()[:, : early.ends] == burst.signal()[:, : early.ends]).all()
     assert ended_early(early, kicked(bench, law, early).runs) == early
+
+
+def test_what_grows_to_its_limits_after_every_burst_is_not_blamed_on_what_sticks():
+    """It does so from bursts within half of its ranges, and from less: there is nothing to end early."""
+    bench, law = one_mode(limit_n=RANGE_N), difference(-2.5)
+    burst = Burst(np.array([RANGE_N / 1000]), 100, 4000, bench.rate_hz)
+    heard = kicked(bench, law, burst)
+    assert heard.limited > 0.5
+    assert ended_early(burst, heard.runs) is burst
+    assert sticking(bench, law, Bursts(burst, burst), judged(bench, heard)) is None
 
 
 @pytest.mark.slow

@@ -88,9 +88,9 @@ def _grown(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen,
             return again if grows else None if falls else _rings_on(bench, burst, again)
         burst, found = _watched_longer(bench, law, burst, seen)
     grown = _at_limits(bench, law, (burst, found), seen)
-    if grown is not None or burst.ends is not None:
+    in_time = burst if burst.ends is not None else ended_early(burst, found.runs)
+    if grown is not None or in_time is burst:
         return grown
-    in_time = ended_early(burst, found.runs)
     return _grown(bench, law, (in_time, kicked(bench, law, in_time)), seen, doubts)
 
 
