@@ -80,7 +80,7 @@ def test_its_controller_does_it(rng, growth):
 @pytest.mark.slow
 def test_relaxing_a_demand_never_lowers_the_limit(rng):
     plant, quiet = modal(rng), band(rng)
-    table = ([1.0, 100.0, 500.0], [0.1, 0.5, 3.0])
+    table = ([1.0, 250.0, 500.0], [0.1, 0.7, 3.0])  # below one in every band that is drawn
     strict = {"peak_db": 4.0, "control_gain": 10.0, "noise_gain": 2.0, "uncertainty": table, "delay_s": 0.002}
     milder = [
         {},
@@ -92,7 +92,7 @@ def test_relaxing_a_demand_never_lowers_the_limit(rng):
     ]
     found = [
         best_flat_attenuation(plant, quiet, **{**strict, **other}, basis=24, certify=False).attenuation_db
-        for other in ({}, *milder)
+        for other in milder
     ]
     print(f"{quiet}: {np.round(found, 2)} dB for {milder}")
     # the delay changes the basis too: a different one of the same size may lose a little
@@ -101,6 +101,30 @@ def test_relaxing_a_demand_never_lowers_the_limit(rng):
     inner = (quiet[0] * 1.1, quiet[1] / 1.05)
     narrow = best_flat_attenuation(plant, inner, **strict, basis=24, certify=False).attenuation_db
     assert narrow >= found[0] - 0.5
+
+
+def test_a_milder_peak_is_used_where_the_plant_is_uncertain():
+    """A guess of the level lies above the level: what is true at the level says little of where the guess binds."""
+    drawn_from = np.random.default_rng(20261130)
+    plant, quiet = modal(drawn_from), band(drawn_from)
+    asked = {"control_gain": 10.0, "uncertainty": ([1.0, 100.0, 500.0], [0.1, 0.5, 3.0]), "delay_s": 0.002}
+    found = [
+        best_flat_attenuation(plant, quiet, peak_db=peak_db, basis=24, certify=False, **asked) for peak_db in (4.0, 6.0)
+    ]
+    print([f"{limit.attenuation_db:.2f} dB, {limit.status}" for limit in found])
+    assert found[1].attenuation_db > found[0].attenuation_db + 0.5
+
+
+def test_what_is_left_out_of_a_grid_is_not_broken_in_turns():
+    """Many laws reach this level, which a few points decide: each broke what the one before had kept."""
+    drawn_from = np.random.default_rng(59)
+    plant, quiet = modal(drawn_from), band(drawn_from)
+    limit = best_flat_attenuation(
+        plant, quiet, peak_db=4.0, control_gain=10.0, noise_gain=2.0, delay_s=0.002, basis=24, certify=False
+    )
+    print(limit.status)
+    assert limit.status.ok
+    assert limit.attenuation_db == pytest.approx(2.42, abs=0.05)
 
 
 def test_never_beyond_the_waterbed(rng):

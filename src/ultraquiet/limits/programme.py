@@ -15,6 +15,7 @@ VIOLATED = 1.0005  # beyond this share of the tightened demand a point joins the
 GROSSLY, THINNED = 1.01, 4  # beyond this share every fourth point does, peak or not
 ROUNDS = 10
 SLACK = 0.9  # of its limit: a demand that stays below is left out until it is broken
+RISEN = 1e-4  # of a level: what it has to rise by for slack points to be left out
 SOLVED = ("Solved", "AlmostSolved")
 # The solver's words for how it ended, in ours.
 FOUND = {
@@ -53,7 +54,19 @@ class Demand:
 
     def reached(self, q: ComplexArray, level: float) -> FloatArray:
         """Return |a + b q|, of the worst plant, over its limit; zero where nothing is asked, whatever it is there."""
-        size = largest_sensitivity(self.a + self.b * q, self.error)
+        return self._over_limit(largest_sensitivity(self.a + self.b * q, self.error), level)
+
+    def used(self, q: ComplexArray, level: float) -> FloatArray:
+        """Return the share of the limit that the programme sees, by the guess of a level where there is one.
+
+        It is one where the demand binds; `reached`, which is true at the level itself, may be far less there.
+        """
+        if self.guess is None or self.error is None:
+            return self.reached(q, level)
+        S = self.a + self.b * q
+        return self._over_limit(np.abs(S) + self.error * self.guess * np.abs(1 - S), level)
+
+    def _over_limit(self, size: FloatArray, level: float) -> FloatArray:
         limit = np.broadcast_to(self.limit * (level if self.sought else 1.0), size.shape)
         return np.divide(size, limit, out=np.zeros(size.shape), where=np.isfinite(limit))
 
@@ -105,7 +118,8 @@ def solve(
     """Solve on a first grid, add the points at which a demand is broken, and again until none is.
 
     A point at which no demand comes near its limit is left out of the next round, until it is broken; whoever
-    interpolates multipliers sees its zero, for `active` of the solution holds all points that were ever put.
+    interpolates multipliers sees its zero, for `active` of the solution holds all points that were ever put. None is
+    left out where the level no longer rises: many laws reach it then, and what keeps one of them may not keep another.
 
     Args:
         functions: `(size, nf)` the basis at all candidate frequencies.
@@ -116,14 +130,15 @@ def solve(
     """
     put = _first(demands, functions.shape[1]) if start is None else start.active
     active = put if start is None else _next(put, functions, demands, start)[0]
-    rounds = 0
+    rounds, level = 0, 0.0
     while True:
         rounds += 1
         put = [p | a for p, a in zip(put, active, strict=True)]
         solution = solve_on(functions, demands, active, noise, rounds)
         if not solution.ok and rounds > 1:  # the thinned programme may be harder than the whole
             solution = solve_on(functions, demands, put, noise, rounds)
-        active, broken = _next(active, functions, demands, solution) if solution.ok else (active, False)
+        rises, level = solution.level > level + RISEN * abs(level), solution.level
+        active, broken = _next(active, functions, demands, solution, rises) if solution.ok else (active, False)
         if not broken or rounds == ROUNDS:
             return replace(solution, active=put)
 
@@ -143,14 +158,15 @@ def _next(
     functions: ComplexArray,
     demands: Sequence[Demand],
     solution: ConeSolution,
+    thin: bool = True,
 ) -> tuple[list[np.ndarray], bool]:
-    """Return the points to put after a solution, and whether it breaks a demand anywhere else."""
+    """Return the points to put after a solution, without slack ones to `thin`, and whether it breaks a demand."""
     q, chosen, any_broken = solution.weights @ functions, [], False
     for demand, on in zip(demands, active, strict=True):
-        r = demand.reached(q, solution.level) / (1.0 if demand.sought else demand.tight)
+        r = demand.used(q, solution.level) / (1.0 if demand.sought else demand.tight)
         new = _broken(r) & ~on
         any_broken |= bool(new.any())
-        chosen.append(new | (on if solution.level <= 0 else on & (r > SLACK)))
+        chosen.append(new | (on & (r > SLACK) if thin and solution.level > 0 else on))
     return chosen, any_broken
 
 
