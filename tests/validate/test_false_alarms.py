@@ -52,6 +52,7 @@ def test_alarms_over_eighty_models(rng):
 
 
 @pytest.mark.slow
+@pytest.mark.draws(false_alarm=0.1)  # 13 of 160 draws catch fewer, records of order 3 most of them
 def test_power_against_orders_too_low(rng):
     """Order 4 gives up the plant's real pole at 200 Hz, which some records hardly show: it is printed alone."""
     caught = []

