@@ -129,7 +129,7 @@ def solve(
             a demand.
     """
     put = _first(demands, functions.shape[1]) if start is None else start.active
-    active = put if start is None else _next(put, functions, demands, start)[0]
+    active = put if start is None else _next(put, functions, demands, start, start.level > 0)[0]
     rounds, level = 0, 0.0
     while True:
         rounds += 1
@@ -137,7 +137,7 @@ def solve(
         solution = solve_on(functions, demands, active, noise, rounds)
         if not solution.ok and rounds > 1:  # the thinned programme may be harder than the whole
             solution = solve_on(functions, demands, put, noise, rounds)
-        rises, level = solution.level > level + RISEN * abs(level), solution.level
+        rises, level = solution.level > (1 + RISEN) * level, max(solution.level, 0.0)
         active, broken = _next(active, functions, demands, solution, rises) if solution.ok else (active, False)
         if not broken or rounds == ROUNDS:
             return replace(solution, active=put)
@@ -158,7 +158,7 @@ def _next(
     functions: ComplexArray,
     demands: Sequence[Demand],
     solution: ConeSolution,
-    thin: bool = True,
+    thin: bool,
 ) -> tuple[list[np.ndarray], bool]:
     """Return the points to put after a solution, without slack ones to `thin`, and whether it breaks a demand."""
     q, chosen, any_broken = solution.weights @ functions, [], False
@@ -166,7 +166,7 @@ def _next(
         r = demand.used(q, solution.level) / (1.0 if demand.sought else demand.tight)
         new = _broken(r) & ~on
         any_broken |= bool(new.any())
-        chosen.append(new | (on & (r > SLACK) if thin and solution.level > 0 else on))
+        chosen.append(new | (on & (r > SLACK) if thin else on))
     return chosen, any_broken
 
 
