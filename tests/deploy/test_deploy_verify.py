@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,40 @@ def test_tones_that_nobody_asked_for_are_below_nyquist_and_told_at_every_rate(ny
         on_bench(bench, law, code, duration_s=8 / rate_hz)
     with pytest.raises(InputError, match="'tones_hz' must lie below Nyquist's"):
         on_bench(bench, law, code, tones_hz=(rate_hz / 2,))
+
+
+class Noisy:
+    """A bench whose readings carry noise of their own in every run, of a size beside the tones'."""
+
+    def __init__(self, plant, size, rng):
+        self.bench, self.size, self.rng = uq.bench.LinearBench(plant), size, rng
+        self.rate_hz, self.actuators = self.bench.rate_hz, self.bench.actuators
+
+    def run(self, *signals, **settings):
+        record = self.bench.run(*signals, **settings)
+        noise = self.rng.standard_normal(record.outputs.shape)
+        return replace(record, outputs=record.outputs + self.size * noise)
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_what_noise_may_feign_is_no_loss_of_the_code(ny, nu, unit, seed):
+    """Law and code are the same: no noise makes the code degraded; half of the gain is seen through a little of it."""
+    plant = StateSpace(0.9 * np.eye(ny), 0.1 * unit * np.eye(ny, nu), np.eye(ny), np.zeros((ny, nu)), 1000.0)
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), -2 / unit * np.eye(nu, ny), 1000.0)
+    half = StateSpace(law.A, law.B, law.C, law.D / 2, 1000.0)
+    rng, words = np.random.default_rng(seed), []
+    for size in np.geomspace(1e-3, 30, 40):
+        made = Noisy(plant, unit * size, rng)
+        same = on_bench(lambda made=made: made, law, SteppedController(law), tones_hz=(5.0, 40.0), duration_s=0.5)
+        words.append(str(same.status.word))
+    print(words)
+    assert set(words) == {"ok", "not measured"}
+    assert words[0] == "ok"
+    assert words[-1] == "not measured"
+    made = Noisy(plant, 1e-2 * unit, rng)
+    found = on_bench(lambda: made, law, SteppedController(half), tones_hz=(5.0, 40.0), duration_s=0.5)
+    print(found.status, found.noise_db)
+    assert found.status.word == "degraded"
 
 
 def test_a_rounded_loop_is_told_at_no_tone_beyond_nyquist():

@@ -107,8 +107,8 @@ class Deployment(GeneratedCode, Shown):
             bench: a bench, or a function that makes one, on which float64 law and compiled code reduce tones.
             targets: emulated processors; empty for none, all known ones when absent.
             fuzz_steps: random steps under the compiler's sanitizers; 0 for none.
-            tones_hz: where attenuation is compared, Hz; the ends and the middle of a band when absent, the plant's own
-                for the analysis and the law's own for the bench.
+            tones_hz: where attenuation is compared, Hz; the ends and the middle of the plant's own band when absent, of
+                the law's where there is no plant.
         """
         whole("Deployment.verify", "steps", steps, 1, MOST_STEPS)
         whole("Deployment.verify", "seed", seed, 0)
@@ -120,7 +120,9 @@ class Deployment(GeneratedCode, Shown):
         law = self.quantised if self.designed is None else self.designed
         loop = None if plant is None else reanalysis(law, self.quantised, plant, tones_hz)
         runs = proof.status.word != StatusWord.NOT_COMPILED
-        measured = on_bench(bench, law, self.instance(), tones_hz) if bench is not None and runs else None
+        measured = None
+        if bench is not None and runs:
+            measured = on_bench(bench, law, self.instance(), tones_hz, plant=plant)
         proof = proof.with_loop(loop, measured)
         self.tables |= proof.figures()
         rewrite(self.folder, self.documents(proof.status))
