@@ -16,6 +16,7 @@ from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.certificate import LoopCertificate
 from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
+from ultraquiet.design.peak_bounded.outcome import figures
 from ultraquiet.design.peak_bounded.start import FLOOR
 from ultraquiet.design.peak_bounded.step import Linearised, step
 from ultraquiet.linalg import discretize
@@ -85,6 +86,32 @@ def uneven(rng, channels, rate_hz=2000.0):
 # Without the search for all alike all of six ended 3 to 21 dB louder.
 @pytest.mark.slow
 @pytest.mark.draws(false_alarm=0.08)
+@pytest.mark.parametrize("slow_hz", [1e-5, 1e-7])
+def test_a_bound_exceeded_below_every_line_by_a_slow_pole_is_seen(found, slow_hz):
+    """Readings that drift make a model with a pole far below the band, and S has its peak at 0 Hz."""
+    plant, law = resonant(), found.controller
+    here, behind = (float(each.frequency_response([0.0])[0, 0, 0].real) for each in (plant, law))
+    decay = 2 * np.pi * slow_hz / plant.rate_hz
+    slow = StateSpace([[1 - decay]], [[decay]], [[0.6 / behind - here]], [[0.0]], plant.rate_hz)
+    drifting = plant + slow
+    peak, f_hz = peak_sensitivity(drifting, law)
+    assert peak == pytest.approx(-20 * np.log10(0.4), abs=0.01)
+    assert f_hz < slow_hz
+    one, theta = in_series(plane_of(plant).to_plane(law), FLOOR)
+    structure = ControllerStructure((one,), (Placement(0, np.eye(1), np.eye(1)),))
+    demands = Demands((30.0, 55.0), lambda f: np.full(f.shape, PEAK_DB), lambda f: np.full(f.shape, 300.0))
+    lines = Scenario(drifting, plane_of(drifting), np.geomspace(1.0, 900.0, 40), demands.band_hz)
+    excess, at_hz = LoopCertificate(lines, demands).excess(structure, theta)
+    assert excess == pytest.approx(peak - PEAK_DB, abs=0.05)
+    assert at_hz < slow_hz
+    given = figures(drifting, law, demands, 1.0, -1.0)
+    assert given.excess_db == pytest.approx(peak - PEAK_DB, abs=0.01)
+    result = PeakBounded(band_hz=(30.0, 55.0), states=4, steps=10, draws=1).design(drifting)
+    reached = peak_sensitivity(drifting, result.controller)[0]
+    print(f"{result.status}; peak {reached:.2f} dB")
+    assert reached <= PEAK_DB + 0.05 or not result.status.ok
+
+
 def test_laws_of_their_own_for_all_channels_are_no_louder_than_one_for_all(rng):
     plant = uneven(rng, int(rng.integers(2, 5)))
     reached = {}

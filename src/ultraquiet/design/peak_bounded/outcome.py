@@ -6,15 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.shown.line import fall
+from ultraquiet.analyse.gang import gang_of_four
 from ultraquiet.analyse.loop_response import band_attenuation, loop_response, reached_directions
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.peak_bounded.demands import Demands
+from ultraquiet.design.peak_bounded.loops.largest import LEAST
 from ultraquiet.design.peak_bounded.units import SearchUnits
 from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import both_ends, fragility, keeps
-from ultraquiet.values.interconnect import feedback, sensitivity, series
+from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -65,11 +67,19 @@ class SearchFigures:
 
 
 def figures(plant: StateSpace, law: StateSpace, demands: Demands, control: float, excess_db: float) -> PlantFigures:
-    """Return what a law does to a plant, both in the units of the search, `control` turning K S back."""
+    """Return what a law does to a plant, both in the units of the search, `control` turning K S back.
+
+    The bounds are held against both exact norms too, at whatever frequency they are reached, 0 Hz among them.
+    """
     attenuation, at = band_attenuation(plant, law, demands.band_hz)
     peak, peak_hz = peak_sensitivity(plant, law)
-    largest = hinf_norm(series(sensitivity(plant, law), law))[0]
-    return PlantFigures(attenuation, at, peak, peak_hz, largest * control, excess_db, _tones(plant, law, demands))
+    largest, largest_hz = hinf_norm(gang_of_four(plant, law)["KS"])
+    over = max(
+        excess_db,
+        peak - float(demands.sensitivity_db(np.array([peak_hz]))[0]),
+        20 * float(np.log10(max(largest, LEAST))) - float(demands.control_db(np.array([largest_hz]))[0]),
+    )
+    return PlantFigures(attenuation, at, peak, peak_hz, largest * control, over, _tones(plant, law, demands))
 
 
 def _tones(plant: StateSpace, law: StateSpace, demands: Demands) -> dict[str, float]:

@@ -15,6 +15,7 @@ from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 
 LINES, DECADES, CONTINUOUS_HZ = 1500, 5.0, 1e4
 WIDTHS = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])  # of a mode of the loop: lines about it
+SLOWER = np.array([0.1, 0.3, 1.0, 3.0])  # times a pole of the loop: lines about one slower than the grid begins
 ROUNDS = 5  # of narrowing a peak, each to a quarter: a smooth top is then known to 1e-5 dB
 
 
@@ -131,9 +132,17 @@ class LoopCertificate:
         return LoopParts.of(G, law.response(theta, (1j * w).astype(np.complex128)))
 
     def _lines(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-        """Return the grid with lines about the loop's modes, and G there."""
-        modes = poles[poles.imag > 0]
-        own = (modes.imag[:, None] + np.abs(modes.real)[:, None] * WIDTHS).ravel()
+        """Return the grid with lines about the loop's modes and down to its slowest pole, and G there.
+
+        Below the slowest pole of the loop S only falls, if it is not level, so that no peak is left below the grid.
+        """
+        modes, size = poles[poles.imag > 0], np.abs(poles)
+        own = np.concatenate(
+            [
+                (modes.imag[:, None] + np.abs(modes.real)[:, None] * WIDTHS).ravel(),
+                (size[size < self._w[0] / SLOWER[0], None] * SLOWER).ravel(),
+            ]
+        )
         own = own[(own > 0) & (own < self._w[-1])]
         w = np.concatenate([self._w, own])
         order = np.argsort(w, kind="stable")
