@@ -358,3 +358,14 @@ def test_plants_that_do_not_go_together_are_refused():
         PeakBounded().design([resonant(), resonant(channels=2)])
     with pytest.raises(InputError, match="a sequence of plants"):
         PeakBounded().design([])
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+@pytest.mark.parametrize(("ny", "nu", "n"), [(1, 1, 0), (2, 3, 1), (3, 2, 2)])
+def test_a_plant_that_does_nothing_gets_a_law_and_a_word(rate_hz, ny, nu, n):
+    A = -np.eye(n) if rate_hz is None else 0.5 * np.eye(n)
+    plant = StateSpace(A, np.zeros((n, nu)), np.ones((ny, n)), np.zeros((ny, nu)), rate_hz)
+    for method in (PeakBounded(states=2, steps=3), PeakBounded(band_hz=(1.0, 2.0), states=2, steps=3)):
+        result = method.design(plant)
+        assert result.status.word == "short", result.status
+        assert "no actuator reaches" in result.status.sentence

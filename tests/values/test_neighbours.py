@@ -117,3 +117,19 @@ def test_systems_of_other_people():
 def test_channels_of_one_name_stay_apart_in_control():
     twice = uq.StateSpace([[0.5]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]], 10.0, ["push", "push"], ["speed"])
     assert [c.name for c in uq.StateSpace.from_control(twice.to_control()).actuators] == ["push", "push"]
+
+
+def test_a_transfer_function_without_states_is_refused_at_every_door():
+    import control
+    from scipy import signal
+
+    improper = control.tf([1, 0, 0], [1, 1])
+    several = control.tf([[[1], [2]], [[1], [1]]], [[[1, 1], [1, 2]], [[1, 3], [1, 4]]])
+    with pytest.raises(uq.errors.InputError, match="no state-space form"):
+        uq.StateSpace.from_scipy(signal.TransferFunction([1, 0, 0], [1, 1]))
+    for given in (improper, several):
+        if given is several and control.exception.slycot_check():
+            continue
+        for door in (uq.StateSpace.from_control, uq.analyse.hinf_norm, uq.design.MixedSensitivity().design):
+            with pytest.raises(uq.errors.InputError, match="no state-space form"):
+                door(given)

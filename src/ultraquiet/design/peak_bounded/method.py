@@ -360,8 +360,9 @@ def _inverting(plant: StateSpace, band_hz: tuple[float, float]) -> float:
 
 
 def _largest_db(plant: StateSpace) -> float:
-    """Return the largest gain of a plant in its own band."""
-    return 20 * float(np.log10(principal_gains(bounded_response(plant)(even_plant(plant).f_hz))[0].max()))
+    """Return the largest gain of a plant in its own band, in dB; 0 dB of one that does nothing."""
+    largest = principal_gains(bounded_response(plant)(even_plant(plant).f_hz))[0].max()
+    return 20 * float(np.log10(largest or 1.0))
 
 
 def _coordinates(

@@ -127,9 +127,13 @@ def _unless_idle(
     law = result.controller
     assert law is not None
     quieter = max(rms_reduction_db(plant, law, band_hz) for plant in plants)
-    if attenuation_db >= LITTLE_DB or quieter >= LITTLE_DB:
+    reached = any(reached_directions(plant)(np.array(band_hz)).any() for plant in plants)
+    if (reached and attenuation_db >= LITTLE_DB) or quieter >= LITTLE_DB:
         return result
     low, high = band_hz
+    if not reached:
+        said = f"Nothing gets quiet over {low:.4g}-{high:.4g} Hz. {result.status.sentence}"
+        return replace(result, status=Status(StatusWord.SHORT, said))
     said = (
         f"Within these bounds nothing gets quiet: over {low:.4g}-{high:.4g} Hz the worst direction of S "
         f"{fall(attenuation_db, 2)} and the RMS of S G {fall(quieter, 2)}. Name the "

@@ -175,7 +175,7 @@ def hardly(plant: StateSpace, band_hz: tuple[float, float], states: int, scalar:
     A, B, C = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, ny)), np.zeros((nu, 2 * m))
     G = np.moveaxis(part.frequency_response(f), 2, 0)
     U, sigma, Vh = np.linalg.svd(G, full_matrices=False)
-    strong = sigma.max() if sigma.size else 1.0
+    strong = sigma.max(initial=0.0) or 1.0  # nothing to turn back: any size does
     for i, w in enumerate(plane.of_hz(f)):
         k = i % sigma.shape[1]
         here = slice(2 * i, 2 * i + 2)

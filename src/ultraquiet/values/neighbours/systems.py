@@ -1,6 +1,6 @@
 """Linear systems for python-control, SciPy, pandas and xarray."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Self, cast
 
 import numpy as np
@@ -41,10 +41,12 @@ class SystemNeighbours:
         become numbered channels.
 
         Raises:
-            InputError: a discrete system without a sampling time.
+            InputError: a discrete system without a sampling time; a transfer function that has no state-space form or
+                that python-control cannot realise.
         """
         if not hasattr(system, "A"):
-            system = needed("control").ss(system)
+            ss = needed("control").ss
+            system = _realised("StateSpace.from_control", lambda: ss(system))
         if system.dt is True:
             raise InputError("StateSpace.from_control: the system is discrete without a sampling time; give it a dt.")
         ends = (_own(system.input_labels, "u"), _own(system.output_labels, "y"))
@@ -69,9 +71,9 @@ class SystemNeighbours:
             sensors: likewise of the outputs.
 
         Raises:
-            InputError: a discrete system without a sampling time.
+            InputError: a discrete system without a sampling time; a transfer function that has no state-space form.
         """
-        form = system if hasattr(system, "A") else system.to_ss()
+        form = system if hasattr(system, "A") else _realised("StateSpace.from_scipy", system.to_ss)
         if form.dt is True:
             raise InputError("StateSpace.from_scipy: the system is discrete without a sampling time; give it a dt.")
         ends = (
@@ -130,6 +132,18 @@ class SystemNeighbours:
         ends = (wires_of(data, "input"), wires_of(data, "output"))
         matrices = (data[key].to_numpy() for key in "ABCD")
         return cast("Self", cast("Any", cls)(*matrices, data.attrs.get("rate_hz"), *ends))
+
+
+def _realised(who: str, realise: Callable[[], Any]) -> Any:
+    """Return what another package makes of a transfer function, its refusals as `InputError`.
+
+    Some of several channels are realised by python-control with the help of Slycot alone. Entry by entry would double
+    what they share, and a mode that is doubled is one that no law reaches.
+    """
+    try:
+        return realise()
+    except (ValueError, NotImplementedError) as why:
+        raise InputError(f"{who}: the transfer function has no state-space form here: {why}.") from why
 
 
 def wire_coords(actuators: Sequence[Channel], sensors: Sequence[Channel]) -> dict[str, Any]:
