@@ -384,3 +384,14 @@ def test_a_seed_is_a_whole_number_from_zero(method):
             method(seed=wrong)
     with pytest.raises(InputError, match=r"^synthesize_structured: 'seed' must be"):
         synthesize_structured(NOTHING_FELT["nothing at all"], 1, 1, seed=-1)
+
+
+@pytest.mark.parametrize(("rate_hz", "pole"), [(None, 0.3), (20.0, 1.01)])
+def test_more_states_than_the_plant_has_reach_what_as_many_do(rng, rate_hz, pole):
+    """A law of more states is one of fewer with some idle."""
+    B, C, D = rng.standard_normal((1, 5)), rng.standard_normal((5, 1)), rng.standard_normal((5, 5))
+    D[3:, 3:] = 0
+    P = StateSpace([[pole]], B, C, D, rate_hz)
+    best = synthesize_hinf(P, 2, 2).achieved
+    for states in (2, 4):
+        assert synthesize_structured(P, 2, 2, states=states, starts=1).achieved <= 1.001 * best

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import UltraquietError
@@ -97,7 +98,7 @@ def synthesize_structured(
     points = [law.start(rng, problem.low / 3, 3 * problem.high) for _ in range(whole(who, "starts", starts, 1))]
     if structure is None and not n:  # the plant's units say nothing of how high a constant gain is to be
         points = [10 ** LOUDER[k % len(LOUDER)] * point for k, point in enumerate(points)]
-    if full is not None and structure is None and not stable and full.states >= n:
+    if full is not None and structure is None and not stable:
         points = [_cut(problem, full, n), *([] if n else _gains_of(problem, full)), *points]
     exact = _ExactNorm(P, problem)
     polish = exact.descended if P.states + n <= EXACTLY else None
@@ -181,12 +182,19 @@ def _gains_of(problem: TuningProblem, law: StateSpace) -> list[np.ndarray]:
 
 
 def _cut(problem: TuningProblem, law: StateSpace, states: int) -> np.ndarray:
-    """Return the parameters of a law of full order in modal coordinates, its least important states left out."""
+    """Return the parameters of a law of full order in modal coordinates, its least important states left out.
+
+    Where more states are asked for than it has, the others hear and say nothing: C is zero there, B is not, so that a
+    descent can begin to use them.
+    """
     A, B, C, D = problem.plane.to_plane(law)
     form = balance.modal(A, B, C)
     size = np.linalg.norm(form.B, axis=1) * np.linalg.norm(form.C, axis=0)
     edges = np.concatenate([[0], np.cumsum(form.blocks)]).astype(int)
     order = sorted(range(len(form.blocks)), key=lambda k: -size[edges[k] : edges[k + 1]].max())
     keep = [i for k in order for i in range(edges[k], edges[k + 1])][:states]
-    M = np.block([[form.A[np.ix_(keep, keep)], form.B[keep]], [form.C[:, keep], D]])
-    return M.ravel()
+    idle = np.geomspace(problem.low, problem.high, max(states - len(keep), 0))
+    heard = np.sqrt(idle)[:, None] * np.eye(B.shape[1])[np.arange(idle.size) % B.shape[1]]
+    A, B = block_diag(form.A[np.ix_(keep, keep)], -np.diag(idle)), np.vstack([form.B[keep], heard])
+    C = np.hstack([form.C[:, keep], np.zeros((C.shape[0], idle.size))])
+    return np.block([[A, B], [C, D]]).ravel()
