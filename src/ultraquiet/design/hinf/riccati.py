@@ -78,13 +78,14 @@ def normalise(M: Matrices, ny: int, nu: int, in_parts: bool = False) -> Normalis
         NumericalError: D12 lacks full column rank or D21 full row rank.
     """
     A, B, C, D = M
-    speed = _speed(A)
     p, m = D.shape[0] - ny, D.shape[1] - nu
     z_side, u_side = _unit(D[:p, m:], "D12 (controls to performance outputs)", "columns")
     w_side, y_side = _unit(D[p:, :m].T, "D21 (disturbances to measurements)", "rows")
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
-    A, B, C = A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed)
+    B, C = B @ inputs, outputs.T @ C
+    speed = _speed(np.concatenate([_speeds(A, B[:, m:], C[:p]), _speeds(A.T, C[p:].T, B[:, :m].T)]))
+    A, B, C = A / speed, B / np.sqrt(speed), C / np.sqrt(speed)
     form = balance.modal(*even_states(A, B, C)[:3], in_parts)
     return NormalisedPlant(
         A=form.A,
@@ -303,8 +304,20 @@ def _unit(D: Array, block: str, what: str) -> tuple[Array, Array]:
     return np.hstack([U[:, m:], U[:, :m]]), Vt.T / s / size[:, None]
 
 
-def _speed(A: Array) -> float:
-    """Return the geometric mean of the moduli of the poles, those near zero left out."""
-    size = np.abs(np.linalg.eigvals(A)) if A.size else np.ones(1)
+def _speeds(A: Array, B2: Array, C1: Array) -> Array:
+    """Return the moduli of the poles of the H2 loop of a side, that is of its equation at an infinite level.
+
+    The poles of the plant do not tell how fast its loop is: those of a lag that is slow beside its gain are as nothing
+    to it. These hang on no unit of states, and time alone scales them.
+    """
+    rows, n = C1.shape[0] - B2.shape[1], A.shape[0]
+    if not n:
+        return np.ones(1)
+    H = np.block([[A - B2 @ C1[rows:], -B2 @ B2.T], [-C1[:rows].T @ C1[:rows], (B2 @ C1[rows:] - A).T]])
+    return np.abs(np.linalg.eigvals(H))
+
+
+def _speed(size: Array) -> float:
+    """Return the geometric mean of moduli of poles, those near zero left out."""
     size = size[size > 1e-9 * max(float(size.max()), 1e-300)]
     return float(np.exp(np.mean(np.log(size)))) if size.size else 1.0
