@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ultraquiet.analyse import hinf_norm
-from ultraquiet.design import output_shaping, synthesize_hinf
+from ultraquiet.design import BandAttenuation, four_block, output_shaping, synthesize_hinf
 from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.gamma_search import UNDECIDED
 from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
@@ -192,3 +192,42 @@ def test_four_block_on_an_identified_hexapod(margin):
     assert result.status.ok, result.status
     assert 1.67 < low < high < 1.68
     assert result.achieved < 1.68 * margin * 1.001
+
+
+@pytest.mark.parametrize(("gain_per_s", "pole"), [(1.0, 0.0), (1.0, 1e-16), (1.0, 1e-12), (1e3, 1e-7), (1e12, 1.0)])
+def test_a_lag_slow_beside_its_gain_is_solved_as_an_integrator_is(gain_per_s, pole):
+    """The optimum of the four-block problem of k / (s + p) is sqrt(1 + X Z) of its two equations."""
+    lag = StateSpace([[-pole]], [[1.0]], [[gain_per_s]], [[0.0]])
+    one = gain([[1.0]])
+    X = np.hypot(pole, gain_per_s) - pole
+    best = np.sqrt(1 + (X / gain_per_s) ** 2)
+    result = synthesize_hinf(four_block(lag, one, one, one.D, one.D), 1, 1)
+    assert result.status.ok
+    assert result.achieved == pytest.approx(best, rel=1e-4)
+    low, high = result.details["optimum"]
+    assert low <= best * (1 + 1e-6)
+    assert high >= best * (1 - 1e-6)
+    assert high <= low * (1 + 1e-4)
+
+
+@pytest.mark.parametrize("off", [-(2.0**-53), 2.0**-52, -1e-12, -1e-9])
+def test_integrators_to_rounding_are_designed_for_as_integrators(off):
+    def plant(pole):
+        return StateSpace(pole * np.eye(2), [[0.1, 0.0], [0.02, 0.1]], np.eye(2), np.zeros((2, 2)), 10.0)
+
+    exact, near = (MixedSensitivity().design(plant(pole)) for pole in (1.0, 1.0 + off))
+    assert exact.status.ok
+    assert near.status.word == exact.status.word
+    assert near.gamma == pytest.approx(exact.gamma, rel=1e-5)
+
+
+@pytest.mark.parametrize("faster", [1283.5, 1e5, 1e-4])
+def test_another_unit_of_time_gives_the_same_law(faster):
+    A = np.array([[0, 1, 0, 0], [0, 0, 0, 0], [0, 0, -0.01, 3], [0, 0, -3, -0.01]])
+    B = np.array([[0.0], [0.17], [0.28], [-0.92]])
+    C = np.array([[0.84, 0.0, 0.62, -0.79], [0.21, 0.0, 1.0, 0.34], [0.89, 0.0, -0.62, -0.4]])
+    given, other = (BandAttenuation().design(StateSpace(t * A, t * B, C, np.zeros((3, 1)))) for t in (1.0, faster))
+    assert given.status.ok
+    assert other.status.word == given.status.word
+    assert other.gamma == pytest.approx(given.gamma, rel=1e-5)
+    assert other.controller.poles().max().real == pytest.approx(faster * given.controller.poles().max().real, rel=1e-3)

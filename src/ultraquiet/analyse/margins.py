@@ -29,6 +29,8 @@ from ultraquiet.values.state_space import StateSpace
 
 POINTS = 3000  # of the default grid; crossings are interpolated between its points
 DECADES = 5.0  # the default grid's span below its upper end
+STILL_HZ = 1e-9  # a pole slower than this, thirty years, is at rest
+UNTIMED_HZ = 1e-3  # stands for the fastest pole where none moves
 RINGING = 0.01  # relative damping below which a pole gets lines of its own: the grid's step is 0.4 %
 BOUNDARY = 1e-9  # poles this near the stability boundary are on it, relative to their modulus
 REST = 1e-7  # per sample: rounding sends the halves of a double integrator so far from one
@@ -229,7 +231,10 @@ def _rates(poles: ComplexArray) -> ComplexArray:
 
 
 def _top(rate_hz: float | None, size: FloatArray) -> float:
-    return 10 * float(size.max(initial=1e-3)) if rate_hz is None else rate_hz / 2
+    if rate_hz is not None:
+        return rate_hz / 2
+    fastest = float(size.max(initial=0.0))
+    return 10 * (fastest if fastest > STILL_HZ else UNTIMED_HZ)
 
 
 def _grid(size: FloatArray, width: FloatArray, top: float) -> FloatArray:

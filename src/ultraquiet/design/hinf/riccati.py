@@ -84,8 +84,8 @@ def normalise(M: Matrices, ny: int, nu: int, in_parts: bool = False) -> Normalis
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
     B, C = B @ inputs, outputs.T @ C
-    speed = _speed(np.concatenate([_speeds(A, B[:, m:], C[:p]), _speeds(A.T, C[p:].T, B[:, :m].T)]))
-    A, B, C = A / speed, B / np.sqrt(speed), C / np.sqrt(speed)
+    tempo = _h2_speed(A, B, C, ny, nu)
+    A, B, C = A / tempo, B / np.sqrt(tempo), C / np.sqrt(tempo)
     form = balance.modal(*even_states(A, B, C)[:3], in_parts)
     return NormalisedPlant(
         A=form.A,
@@ -97,7 +97,7 @@ def normalise(M: Matrices, ny: int, nu: int, in_parts: bool = False) -> Normalis
         into=y_side.T,
         out=u_side,
         D22=D[p:, m:],
-        speed=speed,
+        speed=tempo,
         form=form,
     )
 
@@ -304,20 +304,42 @@ def _unit(D: Array, block: str, what: str) -> tuple[Array, Array]:
     return np.hstack([U[:, m:], U[:, :m]]), Vt.T / s / size[:, None]
 
 
-def _speeds(A: Array, B2: Array, C1: Array) -> Array:
-    """Return the moduli of the poles of the H2 loop of a side, that is of its equation at an infinite level.
+def speed(M: Matrices, ny: int, nu: int) -> float:
+    """Return how fast a problem is, in rad/s or its own unit of time: the geometric mean of its H2 loop's poles.
 
-    The poles of the plant do not tell how fast its loop is: those of a lag that is slow beside its gain are as nothing
-    to it. These hang on no unit of states, and time alone scales them.
+    Where D12 or D21 has too little rank for there to be one, that of the plant's poles.
     """
-    rows, n = C1.shape[0] - B2.shape[1], A.shape[0]
-    if not n:
-        return np.ones(1)
-    H = np.block([[A - B2 @ C1[rows:], -B2 @ B2.T], [-C1[:rows].T @ C1[:rows], (B2 @ C1[rows:] - A).T]])
-    return np.abs(np.linalg.eigvals(H))
+    A, B, C, D = M
+    p, m = D.shape[0] - ny, D.shape[1] - nu
+    try:
+        z_side, u_side = _unit(D[:p, m:], "D12", "columns")
+        w_side, y_side = _unit(D[p:, :m].T, "D21", "rows")
+    except NumericalError:
+        return _mean_modulus(np.linalg.eigvals(A)) if A.size else 1.0
+    return _h2_speed(A, B @ block_diag(w_side, u_side), block_diag(z_side, y_side).T @ C, ny, nu)
 
 
-def _speed(size: Array) -> float:
-    """Return the geometric mean of moduli of poles, those near zero left out."""
+def _h2_speed(A: Array, B: Array, C: Array, ny: int, nu: int) -> float:
+    """Return the geometric mean of the moduli of the poles of the H2 loop, with unit D12 and D21.
+
+    They are those of the equations of X and Y at an infinite level. The poles of the plant do not tell how fast its
+    loop is: that of a lag which is slow beside its gain is as nothing to it. Units of states change none of them.
+    """
+    if not A.size:
+        return 1.0
+    p, m = C.shape[0] - ny, B.shape[1] - nu
+    loops = [_hamiltonian(A, B[:, m:], C[:p]), _hamiltonian(A.T, C[p:].T, B[:, :m].T)]
+    return _mean_modulus(np.concatenate([np.linalg.eigvals(H) for H in loops]))
+
+
+def _hamiltonian(A: Array, B2: Array, C1: Array) -> Array:
+    rows = C1.shape[0] - B2.shape[1]
+    without = A - B2 @ C1[rows:]
+    return np.block([[without, -B2 @ B2.T], [-C1[:rows].T @ C1[:rows], -without.T]])
+
+
+def _mean_modulus(poles: Array) -> float:
+    """Return the geometric mean of the moduli, those near zero left out."""
+    size = np.abs(poles)
     size = size[size > 1e-9 * max(float(size.max()), 1e-300)]
     return float(np.exp(np.mean(np.log(size)))) if size.size else 1.0

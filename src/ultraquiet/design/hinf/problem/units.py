@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ultraquiet.design.hinf.riccati import speed
 from ultraquiet.linalg.even import even_states, to_unit_size
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
@@ -40,7 +41,8 @@ class EvenProblem(NamedTuple):
 def even_problem(P: StateSpace, ny: int, nu: int) -> EvenProblem:
     """Return the problem in even units: rows of [A B] as large as columns of [A; C], every control and measurement one.
 
-    The disturbance is scaled as a whole such that P11 is to P12 as P21 to P22; the norm sought scales with it.
+    The disturbance is scaled as a whole such that P11 is to P12 as P21 to P22; the norm sought scales with it. Sizes
+    of A, B and D are compared in the problem's own unit of time; the plant returned is in the one it was given in.
 
     Args:
         P: generalised plant, inputs (w, u), outputs (z, y).
@@ -50,6 +52,8 @@ def even_problem(P: StateSpace, ny: int, nu: int) -> EvenProblem:
     p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
     x, u, y, level = np.ones(P.states), np.ones(nu), np.ones(ny), 1.0
     A, B, C, D = P.A, P.B, P.C, P.D
+    root = 1.0 if P.rate_hz is not None else float(np.exp2(np.round(np.log2(speed((A, B, C, D), ny, nu)) / 2)))
+    A, B, C = A / root**2, B / root, C / root
     for _ in range(ROUNDS):
         A, B, C, d = even_states(A, B, C)
         across = to_unit_size(np.hypot(np.linalg.norm(B[:, m:], axis=0), np.linalg.norm(D[:p, m:], axis=0)))
@@ -61,7 +65,7 @@ def even_problem(P: StateSpace, ny: int, nu: int) -> EvenProblem:
         x, u, y, level = x * d, u * across, y * down, level * s
         if s == 1 and np.all(d == 1) and np.all(across == 1) and np.all(down == 1):
             break
-    return EvenProblem(StateSpace(A, B, C, D, P.rate_hz), u, y, level)
+    return EvenProblem(StateSpace(A * root**2, B * root, C * root, D, P.rate_hz), u, y, level)
 
 
 def _ratio(over: Array, under: Array) -> float:
