@@ -266,3 +266,18 @@ def test_an_undamped_mode_is_shaped_as_any_other(settings, unit):
 def test_the_gains_of_a_plant_are_infinite_on_its_poles():
     integrators = StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), np.zeros((2, 2)))
     assert singular_values(integrators, [0.0, 1.0]) == pytest.approx(np.array([[np.inf, 0.5 / np.pi]] * 2))
+
+
+@pytest.mark.parametrize("rate_hz", [None, 10.0])
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (2, 2), (4, 3), (3, 5)])
+@pytest.mark.parametrize("height", [None, 4.0])
+def test_a_plant_loud_from_rest_gets_no_loop_slower_than_itself(rate_hz, ny, nu, height):
+    """One lag on all channels: its band has no lower edge, and neither has the shape of the loop."""
+    pole, held = (-1.0, 1.0) if rate_hz is None else (np.exp(-1 / rate_hz), 1 - np.exp(-1 / rate_hz))
+    B, C = held * 0.5 ** np.arange(nu)[None, :], 0.5 ** np.arange(ny)[:, None]
+    plant = StateSpace([[pole]], B, C, np.zeros((ny, nu)), rate_hz)
+    result = LoopShaping(height=height).design(plant)
+    assert result.status.ok, result.status
+    poles = np.linalg.eigvals(feedback(plant, result.controller).A)
+    speed = -poles.real if rate_hz is None else (1 - np.abs(poles)) * rate_hz
+    assert speed.min() > 0.1

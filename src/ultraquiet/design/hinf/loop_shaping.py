@@ -22,7 +22,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.stabilisability import lost_integrators, lost_modes
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights import shaped_loop
-from ultraquiet.design.weights.filters import band_pass, high_pass, peak, rational
+from ultraquiet.design.weights.filters import band_pass, high_pass, low_pass, peak, rational
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
@@ -147,7 +147,7 @@ class LoopShaping(StatedRobustness):
 
     def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
         """Return what is found for the even plant at the height g, its weights as those of the plant."""
-        found = replace(self, band_hz=even.band_hz, height=g)._found(even.plant)
+        found = replace(self, band_hz=even.band_hz, height=g)._found(even.plant, even.from_rest)
         if found.controller is None:
             return found
         rate, weights = even.plant.rate_hz, found.details["weights"]
@@ -158,9 +158,9 @@ class LoopShaping(StatedRobustness):
         bounds = shaped_loop.on_loop(units["pre"], units["post"], found.details["factor"])
         return replace(found, details={**found.details, "weights": units, "loop_weights": bounds})
 
-    def _found(self, plant: StateSpace) -> DesignResult:
+    def _found(self, plant: StateSpace, from_rest: bool = False) -> DesignResult:
         """Return the controller and what the equations say of it, its loop not yet judged, or a refusal."""
-        weights = self.weights(plant)
+        weights = self._weights(plant, from_rest)
         shaped = _even(series(series(weights["pre"], plant), weights["post"]))
         M = (shaped.A, shaped.B, shaped.C, shaped.D)
         try:
@@ -201,16 +201,23 @@ class LoopShaping(StatedRobustness):
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return W1 as `pre` and W2 as `post`, in full size at the plant's rate."""
+        return self._weights(plant, False)
+
+    def _weights(self, plant: StateSpace, from_rest: bool) -> dict[str, StateSpace]:
+        """Return the weights; `from_rest` tells that `band_hz` is a band of a plant loud from rest on."""
         ny, nu = plant.D.shape
         post = weight(WHO, "post", 1.0 if self.post is None else self.post, ny, plant.rate_hz, integrators=True)
         if self.pre is not None:
             return {"pre": weight(WHO, "pre", self.pre, nu, plant.rate_hz, integrators=True), "post": post}
         seen = series(plant, post)
-        band_hz = self.band_hz or even_plant(plant).band_hz
+        band_hz = self.band_hz
+        if band_hz is None:
+            even = even_plant(plant)
+            band_hz, from_rest = even.band_hz, even.from_rest
         square = seen.D.shape == (nu, nu)
         mix = gain(_aligning(seen, float(np.sqrt(np.prod(band_hz)))) if self.align and square else np.eye(nu))
         mix = StateSpace(mix.A, mix.B, mix.C, mix.D, plant.rate_hz)
-        shape = self._shape(series(mix, seen), band_hz)
+        shape = self._shape(series(mix, seen), band_hz, from_rest)
         return {"pre": series(append(*[shape] * nu), mix), "post": post}
 
     def _number(self, name: str) -> float:
@@ -218,10 +225,17 @@ class LoopShaping(StatedRobustness):
         given: float | None = getattr(self, name)
         return ABSOLUTE[name] if given is None else given
 
-    def _shape(self, plant: StateSpace, band_hz: tuple[float, float]) -> StateSpace:
-        """Return the weight of one channel that the numbers describe, scaled to the height asked for."""
-        rate = plant.rate_hz
-        shape = band_pass(band_hz, 1.0, self._number("floor"), self.order, rate)
+    def _shape(self, plant: StateSpace, band_hz: tuple[float, float], from_rest: bool) -> StateSpace:
+        """Return the weight of one channel that the numbers describe, scaled to the height asked for.
+
+        A band from rest on has no lower edge: one at the lowest frequency that was looked at would put poles there, as
+        many alike as there are channels and a million times slower than all others, which rounding makes unstable.
+        """
+        rate, floor = plant.rate_hz, self._number("floor")
+        if from_rest:
+            shape = low_pass(band_hz[1], 1.0, floor, max(self.order // 2, 1), rate)
+        else:
+            shape = band_pass(band_hz, 1.0, floor, self.order, rate)
         end = below_nyquist(self.roll_off_hz or FURTHER * band_hz[1], rate)
         shape = series(shape, high_pass(end, 1.0, FALL, 1, rate))
         if self.integral_hz is not None:
@@ -236,7 +250,7 @@ class LoopShaping(StatedRobustness):
                 "shaped there."
             )
         # directions that the plant cannot move at all are left out of the mean
-        mean = float(np.exp(np.mean(np.log(np.maximum(sizes, 1e-6 * sizes[0])))))
+        mean = float(np.exp(np.mean(np.log(sizes[sizes > 1e-6 * sizes[0]]))))
         for tone_hz in self.tones_hz:
             shape = series(shape, peak(tone_hz, self.tone_height, self.tone_zeta, rate))
         return series(shape, gain([[self._number("height") / mean]], rate))
