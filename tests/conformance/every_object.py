@@ -166,6 +166,7 @@ def of_code(plant, K, folder):
     code = uq.deploy.generate(K, folder / "code")
     yield from (code, uq.deploy.Frame(), uq.deploy.Frame().simulate(code, frames=200))
     yield uq.deploy.reanalysis(K, K, plant, [20.0, 40.0])
+    yield uq.deploy.on_bench(uq.bench.LinearBench(plant), K, values.SteppedController(K), (20.0, 40.0), duration_s=0.5)
     yield uq.deploy.fixed_law(K, word="q31", input_v=10.0, output_v=10.0)
 
 
