@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammainccinv, gammaincinv
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, positive
 from ultraquiet._base.errors import InputError
@@ -14,6 +15,8 @@ from ultraquiet.values import Channel, FrequencyResponse, Record
 WHO = "WeightedRational"
 # Noise below this share of its channel's largest is rounding; a weight from it would hold the fit at one line.
 FAINTEST = 1e-12
+ENOUGH = 40  # complex differences that tell the power of a line to a fifth by their median
+BY_CHANCE = 1e-4  # chance of a line's own power that is believed instead
 
 
 def told_by_lines(who: str, name: str, delay_s: float, f_hz: FloatArray) -> None:
@@ -111,7 +114,8 @@ def from_periods(record: Record, period: int, floor: float, weigh: str) -> Data:
     f, G, told = estimate.response.f_hz, estimate.response.values, estimate.detection
     # Without lines that show distortion it is what gains scatter about a smooth response: at a resonance its own
     # curvature, which would weigh least the lines that know it best.
-    variance = estimate.noise if told is None or not told.odd_hz.size else _known(estimate.response)
+    by_periods = told is None or not told.odd_hz.size
+    variance = estimate.noise if by_periods else _known(estimate.response)
     lines = np.rint(f * period / record.rate_hz).astype(int)
     whole = record.samples // period * period
     U, Y = (
@@ -120,10 +124,34 @@ def from_periods(record: Record, period: int, floor: float, weigh: str) -> Data:
     )
     # One record excites one input, so the variance of each gain is that of its output.
     level = variance[:, 0] * np.abs(U[0]) ** 2
+    if by_periods:
+        level = _lent_by_neighbours(level, max(whole // period - 2, 1))
     power = level if weigh == "noise" else np.broadcast_to(level.mean(axis=1, keepdims=True), level.shape)
     samples = _samples(f, record.rate_hz, U[np.newaxis], Y, power + (floor * np.abs(Y)) ** 2)
     weight = np.abs(U[np.newaxis]) / np.sqrt(_not_faint(power))[:, np.newaxis]
     return Data(samples, G, weight, record.actuators, record.sensors, (record.hash,))
+
+
+def _lent_by_neighbours(power: FloatArray, freedom: int) -> FloatArray:
+    """Return the power of noise `(ny, nf)` from few periods, each line's told by those about it.
+
+    Of `freedom` complex differences the power of a line is a mean of so many exponential variates: of two, one line in
+    sixty shows a tenth of the truth or less, outweighs ten others and is given a mode of its own. Noise is smooth over
+    a few lines: the median of so many that they have `ENOUGH` differences stands for it,
+    and a line's own power where that is more than chance makes of it, as at a hum.
+    """
+    reach = ENOUGH // (2 * freedom)
+    lines = power.shape[1]
+    if reach < 1 or lines <= 2:
+        return power
+    known = np.where(np.isfinite(power), power, np.nan)
+    padded = np.pad(known, ((0, 0), (reach, reach)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1)
+    told = np.isfinite(windows).any(axis=2)
+    level = np.full(power.shape, np.nan)
+    level[told] = np.nanmedian(windows[told], axis=1) * freedom / gammaincinv(freedom, 0.5)
+    beyond = known > level * gammainccinv(freedom, BY_CHANCE) / freedom
+    return np.where(beyond | ~told, power, level)
 
 
 def _samples(
