@@ -12,12 +12,15 @@ from ultraquiet.pipeline.facts.models import (
     Agreement,
     AnalysisFacts,
     PaperFit,
+    PlantFacts,
     PreferredModels,
     RankedModel,
     RecordFit,
+    RecordPlant,
     ResidualFacts,
     ResponsePlant,
     Root,
+    WeightedPlant,
 )
 from ultraquiet.pipeline.identification import group, sweep_groups
 from ultraquiet.pipeline.report.records import noted, span, wires
@@ -46,13 +49,11 @@ FIT_DOUBTED = 50.0  # percent: a simulation that leaves half of what a sensor's 
 
 def identification(result: StudyResult) -> Section:
     """The choice of the order, the ranking of structures and orders, the paper's structure."""
-    facts, plant = result.identification.facts, result.plant.facts
+    facts = result.identification.facts
     best, paper = facts.preferred, result.study.paper
     units = dict.fromkeys(squared(c.unit) for c in result.design_plant.sensors)
     sentences, tables, figures = list[str](), list[Table](), list[Picture]()
-    if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
-        figures.append(pages.errors_by_order(plant.errors_by_order, plant.order))
-    figures += _stabilisation(result)
+    figures += _by_order(result.plant.facts) + _stabilisation(result)
     if best is None:
         sentences.append(
             "No records drive one actuator after the other, so no structures were ranked channel by channel."
@@ -89,11 +90,22 @@ def _simulating_better(best: PreferredModels, table: Sequence[RankedModel]) -> l
     ]
 
 
+def _by_order(plant: PlantFacts) -> list[Picture]:
+    """Return what the order of the plant was chosen by, where several were tried."""
+    if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
+        return [pages.errors_by_order(plant.errors_by_order, plant.order)]
+    if isinstance(plant, WeightedPlant) and len(plant.criterion_by_order) > 1:
+        return [pages.criterion_by_order(plant.criterion_by_order, plant.order, plant.criterion)]
+    return []
+
+
 def _stabilisation(result: StudyResult) -> list[Picture]:
     """Return the poles of one order after the other: of the response that was fitted, or of the record."""
     plant, f_hz = result.plant.facts, result.analysis.facts.f_hz
     if isinstance(plant, ResponsePlant):
         roots, taken = dict(plant.modes_by_order), plant.order
+    elif not isinstance(plant, RecordPlant):
+        return []
     else:
         (record, *_) = group(result.records, result.study.plant.records[0])
         try:
