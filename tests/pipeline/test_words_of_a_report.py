@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from ultraquiet.pipeline.facts.limits import DesignLimit, LimitFacts, RefusedBand
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
 from ultraquiet.pipeline.facts.models import PlantFacts, PreferredModels, RankedModel, RecordFit, ResidualFacts
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.facts.typed import from_plain, to_plain
 from ultraquiet.pipeline.identification import plant
 from ultraquiet.pipeline.report.front import _law_in_short, _verdict
+from ultraquiet.pipeline.report.limits import limits
+from ultraquiet.pipeline.report.mission import campaign
 from ultraquiet.pipeline.report.models import _about_zeros, _by_order, _doubted, _of_residuals, _simulating_better
 from ultraquiet.pipeline.report.records import _coherence
 from ultraquiet.pipeline.study import Plant
@@ -165,3 +169,53 @@ def test_what_the_order_was_chosen_by_is_called_what_it_is_with_each_method(meth
     else:
         assert not named
         assert not said
+
+
+def cells(section):
+    return [str(cell) for table in section.tables for row in table.rows for cell in row]
+
+
+def test_a_law_whose_loop_is_unstable_has_no_figures_beside_its_limit():
+    nothing = dict.fromkeys(("attenuation_db", "peak_db", "control_gain", "limit_db", "left_db", "alone_db"), np.nan)
+    band = RefusedBand(band_hz=BAND_HZ, peak_db=6.0, control_gain=1.0, status="refused: no.")
+    facts = LimitFacts(
+        bands=(band,), designs={"sky": DesignLimit(band_hz=BAND_HZ, status="unstable: it grows.", **nothing)}
+    )
+    wires = {"actuators": (Channel("push", "N"),), "sensors": (Channel("place", "um"),)}
+    result = SimpleNamespace(
+        limits=SimpleNamespace(facts=facts),
+        plan=SimpleNamespace(band_hz=BAND_HZ),
+        design_plant=SimpleNamespace(**wires),
+        study=SimpleNamespace(blending=None),
+    )
+    assert cells(limits(result)) == ["sky", *"------"]
+
+
+def test_of_drawn_benches_the_unstable_ones_are_called_so():
+    shares = dict.fromkeys(("0%", "5%", "50%", "95%", "100%"), 6.0)
+    quiet, loud = shares | {"0%": -np.inf}, shares | {"100%": np.inf}
+    spread = {"attenuation_db": quiet, "peak_db": loud, "stable_share": {"share": 0.9}}
+    ran = {"case": 3, "seed": 4, "unit": "bench", "stable": False, "status": "unstable", "replay": "campaign --case 3"}
+    case = WorstCase(attenuation_db=-np.inf, peak_db=np.inf, **ran)
+    facts = CampaignFacts(
+        law="quiet",
+        on="truth",
+        benches=10,
+        first_seed=1,
+        band_hz=BAND_HZ,
+        stable=9,
+        stable_share=0.9,
+        stable_interval=(0.6, 1.0),
+        attenuation_db=quiet,
+        peak_db=loud,
+        by_unit={"bench": spread},
+        drivers={},
+        worst=(case,),
+        campaign="",
+        status="unstable: no.",
+    )
+    figures = {"bench": np.linspace(5.0, 6.0, 9)}
+    found = cells(campaign(facts, CampaignCurves(attenuation_db=figures, peak_db=figures, f_hz=np.ones(1))))
+    print(found)
+    assert found.count("unstable") == 4
+    assert not {"inf", "-inf", "nan"} & set(found)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.shown.line import counted, in_percent
+from ultraquiet._base.shown.line import counted, figure_or, in_percent
 from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
@@ -142,9 +142,9 @@ def _ranking(table: Sequence[RankedModel]) -> list[tuple[object, ...]]:
         (
             row.structure,
             row.order,
-            f"{row.median_fit_percent:.1f}",
-            f"{row.worst_fit_percent:.1f}",
-            f"{row.median_loss:.3g}",
+            figure_or(row.median_fit_percent),
+            figure_or(row.worst_fit_percent),
+            f"{row.median_loss:.3g}" if np.isfinite(row.median_loss) else "-",
             row.ok,
             f"{row.seconds:.1f}",
         )
@@ -156,8 +156,8 @@ def _by_signal(fits: Mapping[str, PaperFit]) -> list[tuple[object, ...]]:
     return [
         (
             name,
-            f"{fit.median_fit_percent:.1f}",
-            f"{fit.worst_fit_percent:.1f}",
+            figure_or(fit.median_fit_percent),
+            figure_or(fit.worst_fit_percent),
             fit.ok,
             "yes" if fit.stable else "no",
             "yes" if fit.invertible else "no",
