@@ -66,8 +66,28 @@ def test_without_a_velocity_the_levels_are_shown_and_the_criteria_are_not(run, r
     files.save(Record(np.zeros((1, 2**13)), rng.standard_normal((1, 2**13)), RATE, sensors=[Channel("a", "V")]), path)
     code, printed, _ = run("spectra", path, "--show", "octaves")
     assert (code, "no vibration criterion: channel 'a' is in V" in printed) == (0, True)
-    code, printed, _ = run("spectra", path, "--show", "octaves", "--unit", "m/s", "--segment", 256)
+    scaled = ("--unit", "m/s", "--sensitivity", 1, "--segment", 256)
+    code, printed, _ = run("spectra", path, "--show", "octaves", *scaled)
     assert (code, "cover no criterion; they need 4 to 80 Hz" in printed) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("stated", "asked", "agree"),
+    [("um", "mm/s", False), ("um", "µm", True), ("m/s^2", "m/s²", True), ("", "mm/s", True), ("V", "mV", False)],
+)
+def test_a_unit_that_contradicts_the_files_own_is_refused(run, rng, tmp_path, stated, asked, agree):
+    path = tmp_path / "run.h5"
+    sensors = [Channel("free"), Channel("place", stated)]
+    files.save(Record(np.zeros((1, 2**10)), rng.standard_normal((2, 2**10)), RATE, sensors=sensors), path)
+    code, printed, err = run("spectra", path, "--unit", asked)
+    print(err)
+    if agree:
+        assert code == 0
+        assert printed.count(f" {asked} ") >= 2
+    else:
+        assert code == 2
+        assert f"'place' is recorded in {stated}, which '--unit {asked}' contradicts" in err
+        assert run("spectra", path, "--unit", asked, "--sensitivity", 1000)[0] == 0
 
 
 def test_a_dozen_channels_can_be_read_in_a_narrow_terminal(run, rng, tmp_path, monkeypatch):

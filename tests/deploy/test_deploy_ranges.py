@@ -8,7 +8,7 @@ import uq_command
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.deploy.ranges import requested_limits, requested_range, requested_size
+from ultraquiet.cli.deploy.ranges import requested_limits, requested_range
 from ultraquiet.deploy import C31Budget, fixed_law, generate, generate_fixed, word_lengths
 from ultraquiet.deploy.c_code.self_test import ScriptPlayer, script_calls
 from ultraquiet.values import Channel, StateSpace
@@ -97,6 +97,44 @@ def test_whole_numbers_need_ranges(law, tmp_path):
         fixed_law(pushing)
 
 
+@pytest.mark.parametrize(
+    ("stated", "size", "more"),
+    [
+        (30.0, 30.0, ""),
+        ([[-40.0, 30.0], [-30.0, 30.0]], 30.0, "+-30: of left coil -40 to 30 N they leave the rest unused."),
+        ([7.0, 5.0], 5.0, "+-5: of left coil -7 to 7 N they leave the rest unused."),
+        (None, 3.0, "+-3: of left coil -3 to 4 N, right coil -5 to 6 N they leave the rest unused."),
+    ],
+)
+def test_what_whole_numbers_leave_of_limits_is_said(law, tmp_path, stated, size, more):
+    wires = (COILS[0], Channel("right coil", "N", -5.0, 6.0))
+    known = StateSpace(law.A, law.B, law.C, law.D, law.rate_hz, SPEEDS, wires)
+    made = generate_fixed(known, tmp_path / "code", output_v=stated)
+    assert made.law.output_v == size
+    said = f"Whole numbers hold all commands to one size, {more}"
+    assert made.status.sentence.endswith(said) if more else "one size" not in made.status.sentence
+    assert made.tables["commands"] == [f"left coil {-size:g} to {size:g} N", f"right coil {-size:g} to {size:g} N"]
+    assert made.tables["measurements"] == ["speed -0.002 to 0.002 m/s"]
+    read_me = (tmp_path / "code" / "README.md").read_text()
+    assert f"left coil {-size:g} to {size:g} N, right coil {-size:g} to {size:g} N" in read_me
+    assert "speed -0.002 to 0.002 m/s" in read_me
+    assert (said in read_me) is bool(more)
+
+
+@pytest.mark.parametrize("call", [fixed_law, word_lengths])
+def test_limits_that_whole_numbers_cannot_hold_are_refused(law, call):
+    said = []
+    try:
+        said += [str(row.status) for row in call(law, output_v=[[-5.0, 5.0], [0.0, 6.0]]) if row.precision == "q31"]
+    except InputError as refusal:
+        said.append(str(refusal))
+    assert all("one size on both sides of zero, and 'right coil' goes from 0 to 6 N" in each for each in said)
+    assert said
+    for wrong in ([[1.0, 2.0], [-1.0, 1.0]], [1.0, 2.0, 3.0], -1.0):
+        with pytest.raises(InputError, match="output_v"):
+            call(law, output_v=wrong)
+
+
 def test_whole_numbers_are_told_in_the_units_of_the_law_s_own_channels(tmp_path):
     ends = {
         "A measurement of 3 m/s and a command of 5 N are 2^31.": (SPEEDS, COILS[:1]),
@@ -119,7 +157,6 @@ def test_limits_are_stated_for_all_or_for_each(law):
     assert requested_limits(None, law) is None
     assert requested_limits("7", law).tolist() == [[-7.0, 7.0]] * 2
     assert requested_limits("-1:2,5", law).tolist() == [[-1.0, 2.0], [-5.0, 5.0]]
-    assert (requested_size(None, law), requested_size("7", law)) == (None, 7.0)
     assert (requested_range(None), requested_range("1e-4")) == (None, 1e-4)
 
 
@@ -143,8 +180,7 @@ def test_the_command_states_its_limits(law, tmp_path, monkeypatch, capsys, preci
     asked = ("deploy", tmp_path / "law.h5", "--out", tmp_path / "new", *words, "--limits", "6", "--json")
     code, out, _ = uq_command.called(monkeypatch, capsys, *asked)
     assert code == 0
-    held = json.loads(out)["tables"].get("commands", ["left coil -6 to 6 N"])
-    assert held[0] == "left coil -6 to 6 N"
+    assert json.loads(out)["tables"]["commands"] == ["left coil -6 to 6 N", "right coil -6 to 6 N"]
 
 
 def test_the_table_of_word_lengths_takes_ranges(law, tmp_path, monkeypatch, capsys):
@@ -156,3 +192,6 @@ def test_the_table_of_word_lengths_takes_ranges(law, tmp_path, monkeypatch, caps
     code, out, err = uq_command.called(monkeypatch, capsys, *asked, "--limits", "6")
     assert code == 0
     assert "refused" not in out + err
+    code, out, _ = uq_command.called(monkeypatch, capsys, *asked, "--limits=-40:30,30")
+    assert code == 0
+    assert "one size, +-30: of left coil -40 to 30 N they leave the rest unused." in " ".join(out.split())

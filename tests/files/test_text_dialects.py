@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.files import read_record, survey
+from ultraquiet.files import export_record, read_record, survey
+from ultraquiet.values import Channel, Record
 
 NAMES = ["time [s]", "left coil [A]", "right coil [A]", "nose [mm/s]"]
 WIRES = {"inputs": ["left coil", "right coil"], "outputs": ["nose"]}
@@ -136,6 +137,51 @@ def test_units_behind_a_slash_are_units_and_a_ratio_is_a_name(tmp_path, table):
     assert [c.unit for c in (*record.actuators, *record.sensors)] == ["A", "mA", "mm/s"]
     (tmp_path / "run.csv").write_text(text(table, names=[*names[:3], "nose / tail"]))
     assert survey(tmp_path / "run.csv").channels[-1].name == "nose / tail"
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("nose / (m/s^2)", "nose", "m/s^2"),
+        ("nose/(m/s²)", "nose", "m/s²"),
+        ("nose / [m s⁻²]", "nose", "m s⁻²"),
+        ("nose / m/s2", "nose", "m/s2"),
+        ("nose / N/(m/s)", "nose", "N/(m/s)"),
+        ("nose / (kg m/s^2)", "nose", "kg m/s^2"),
+        ("nose / um", "nose", "um"),
+        ("nose [V/(m/s)]", "nose", "V/(m/s)"),
+        ("nose (m/s^2)", "nose", "m/s^2"),
+        ("nose (left) [V]", "nose (left)", "V"),
+        ("nose / N/(m s2)", "nose", "N/(m s2)"),
+        ("nose / (tail / um)", "nose / (tail / um)", ""),
+        ("nose / (tail)", "nose / (tail)", ""),
+        ("nose / A2", "nose / A2", ""),
+        ("nose / 12", "nose / 12", ""),
+    ],
+)
+def test_units_of_several_are_told_from_names(tmp_path, table, header, name, unit):
+    (tmp_path / "run.csv").write_text(text(table, names=[*NAMES[:-1], header]))
+    found = survey(tmp_path / "run.csv").channels[-1]
+    assert (found.name, found.unit) == (name, unit)
+
+
+def test_a_name_that_would_come_back_as_another_is_not_written(tmp_path, rng):
+    y = rng.standard_normal((1, 8))
+    for name, unit, kept in (("nose /", "V", False), ("nose / um", "", True), ("nose / tail", "mm/s^2", True)):
+        record = Record(y, y, 500.0, sensors=[Channel(name, unit)])
+        if kept:
+            (back,) = read_record(export_record(record, tmp_path / f"{len(name)}.csv")).sensors
+            assert (back.name, back.unit) == (name, unit)
+        else:
+            with pytest.raises(InputError, match="'nose /' with unit 'V' cannot stand in a line of text"):
+                export_record(record, tmp_path / "run.csv")
+
+
+def test_units_in_a_line_of_their_own_keep_the_brackets_within_them(tmp_path, table):
+    names, *rows = text(table, names=["time", "left", "right", "nose"]).splitlines()
+    (tmp_path / "run.csv").write_text("\n".join([names, "[s],[A],(mA),V/(m/s)", *rows]))
+    record = read_record(tmp_path / "run.csv", inputs=["left", "right"], outputs=["nose"])
+    assert [c.unit for c in (*record.actuators, *record.sensors)] == ["A", "mA", "V/(m/s)"]
 
 
 def test_a_column_that_drifts_is_no_clock_and_stops_no_look_at_the_file(tmp_path, rng):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ultraquiet as uq
-from ultraquiet.pipeline.facts.code import CodeFacts, DeploymentFacts, NoCode
+from ultraquiet.pipeline.facts.code import CodeFacts, DeploymentFacts, NoCode, WholeNumberFacts
 from ultraquiet.pipeline.facts.limits import BandLimit, LimitFacts, RefusedBand
 from ultraquiet.pipeline.facts.loops import LoopFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.models import PlantFacts, RecordFit, RecordPlant, ResponsePlant, Root, SingularValues
@@ -125,3 +125,7 @@ def test_every_key_of_a_deployment_is_a_fact(tmp_path):
     facts = generated(code, "not verified")
     assert facts.bit_exact is None
     assert facts.states == 2
+    whole = uq.deploy.generate_fixed(law, tmp_path / "whole", input_v=3.0, output_v=[[-4.0, 2.0]])
+    assert set(whole.tables) <= {f.name for f in fields(WholeNumberFacts)}
+    found = generated(whole, "not verified")
+    assert (found.measurements, found.commands) == (("input 1 -3 to 3",), ("output 1 -2 to 2",))

@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.pipeline.facts.models import PreferredModels, RankedModel, RecordFit, ResidualFacts
+from ultraquiet.pipeline.facts.limits import DesignLimit, LimitFacts, RefusedBand
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
+from ultraquiet.pipeline.facts.models import PlantFacts, PreferredModels, RankedModel, RecordFit, ResidualFacts
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
+from ultraquiet.pipeline.facts.typed import from_plain, to_plain
+from ultraquiet.pipeline.identification import plant
 from ultraquiet.pipeline.report.front import _law_in_short, _verdict
-from ultraquiet.pipeline.report.models import _about_zeros, _doubted, _of_residuals, _simulating_better
+from ultraquiet.pipeline.report.limits import limits
+from ultraquiet.pipeline.report.mission import campaign
+from ultraquiet.pipeline.report.models import _about_zeros, _by_order, _doubted, _of_residuals, _simulating_better
 from ultraquiet.pipeline.report.records import _coherence
-from ultraquiet.values import Channel, Record
+from ultraquiet.pipeline.study import Plant
+from ultraquiet.values import Channel, Record, StateSpace
 
 RATE_HZ, BAND_HZ = 100.0, (5.0, 20.0)
 
@@ -125,3 +132,90 @@ def test_a_band_between_the_lines_of_a_coherence_is_said_to_hold_none(ny, nu, ba
     print(caption)
     none = f"From {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz there is no line of it."
     assert caption.endswith(none) if narrow else "Hz the least is 1.00, " in caption
+
+
+PLANTS = {
+    "rational": {"floor": 0.01},
+    "weighted-rational": {"highest_order": 6, "criterion": "aic"},
+    "structured": {"known": {}, "band_hz": (1.0, 45.0), "iterations": 2},
+    "structured-modal": {"modes": 1, "band_hz": (1.0, 45.0), "iterations": 2},
+}
+
+
+@pytest.mark.parametrize("method", PLANTS)
+def test_what_the_order_was_chosen_by_is_called_what_it_is_with_each_method(method, rng):
+    """Held-out lines are named where lines were held out, a criterion where it chose, and nothing where nothing did."""
+    truth = StateSpace([[0.9, 0.2], [-0.2, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], rate_hz=RATE_HZ)
+    u = np.tile(rng.standard_normal(400), 6)[None]
+    y = truth.simulate(u)
+    records = {"periods": Record(u, y + 0.02 * np.std(y) * rng.standard_normal(y.shape), RATE_HZ)}
+    settings = Plant.model_validate({"method": method, "records": ["periods"], "period_samples": 400} | PLANTS[method])
+    facts = from_plain(PlantFacts, to_plain(plant(records, settings).facts))
+    said = " ".join(picture.caption for picture in _by_order(facts))
+    named = {*to_plain(facts)} & {"held_out_error", "misfit_in_noise"}
+    print(named, said)
+    if method == "rational":
+        assert named == {"held_out_error"}
+        assert f"order {facts.order} meets them within {100 * facts.errors_by_order[facts.order]:.2g} %" in said
+    elif method == "weighted-rational":
+        assert named == {"misfit_in_noise"}
+        assert facts.misfit_in_noise == pytest.approx(1.0, abs=0.3)
+        first, second = sorted(facts.criterion_by_order.values())[:2]
+        assert first == facts.criterion_by_order[facts.order] == 0.0
+        assert "AIC by order" in said
+        assert f"chose order {facts.order}; the next best is order" in said
+        assert f", {second:.3g} above." in said
+        assert "%" not in said
+    else:
+        assert not named
+        assert not said
+
+
+def cells(section):
+    return [str(cell) for table in section.tables for row in table.rows for cell in row]
+
+
+def test_a_law_whose_loop_is_unstable_has_no_figures_beside_its_limit():
+    nothing = dict.fromkeys(("attenuation_db", "peak_db", "control_gain", "limit_db", "left_db", "alone_db"), np.nan)
+    band = RefusedBand(band_hz=BAND_HZ, peak_db=6.0, control_gain=1.0, status="refused: no.")
+    facts = LimitFacts(
+        bands=(band,), designs={"sky": DesignLimit(band_hz=BAND_HZ, status="unstable: it grows.", **nothing)}
+    )
+    wires = {"actuators": (Channel("push", "N"),), "sensors": (Channel("place", "um"),)}
+    result = SimpleNamespace(
+        limits=SimpleNamespace(facts=facts),
+        plan=SimpleNamespace(band_hz=BAND_HZ),
+        design_plant=SimpleNamespace(**wires),
+        study=SimpleNamespace(blending=None),
+    )
+    assert cells(limits(result)) == ["sky", *"------"]
+
+
+def test_of_drawn_benches_the_unstable_ones_are_called_so():
+    shares = dict.fromkeys(("0%", "5%", "50%", "95%", "100%"), 6.0)
+    quiet, loud = shares | {"0%": -np.inf}, shares | {"100%": np.inf}
+    spread = {"attenuation_db": quiet, "peak_db": loud, "stable_share": {"share": 0.9}}
+    ran = {"case": 3, "seed": 4, "unit": "bench", "stable": False, "status": "unstable", "replay": "campaign --case 3"}
+    case = WorstCase(attenuation_db=-np.inf, peak_db=np.inf, **ran)
+    facts = CampaignFacts(
+        law="quiet",
+        on="truth",
+        benches=10,
+        first_seed=1,
+        band_hz=BAND_HZ,
+        stable=9,
+        stable_share=0.9,
+        stable_interval=(0.6, 1.0),
+        attenuation_db=quiet,
+        peak_db=loud,
+        by_unit={"bench": spread},
+        drivers={},
+        worst=(case,),
+        campaign="",
+        status="unstable: no.",
+    )
+    figures = {"bench": np.linspace(5.0, 6.0, 9)}
+    found = cells(campaign(facts, CampaignCurves(attenuation_db=figures, peak_db=figures, f_hz=np.ones(1))))
+    print(found)
+    assert found.count("unstable") == 4
+    assert not {"inf", "-inf", "nan"} & set(found)

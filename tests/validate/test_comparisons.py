@@ -169,3 +169,38 @@ def test_a_record_with_its_channels_in_another_order_is_no_poor_fit(ny, nu, unit
     # channels that were only numbered may be any
     numbered = uq.StateSpace(A, B, C, np.zeros((ny, nu)), 100.0)
     assert uq.validate.verdict(numbered, uq.validate.compare(numbered, record)).ok
+
+
+@pytest.mark.parametrize("kind", ["state space", "polynomials"])
+def test_a_record_with_its_sides_exchanged_or_in_other_units_is_not_judged(kind, rng):
+    coil, acc = uq.Channel("coil", "N"), uq.Channel("acc", "m/s^2")
+    u = rng.standard_normal((1, 400))
+    y = lfilter([0.0, 0.5], [1.0, -0.7], u) + 0.01 * rng.standard_normal((1, 400))
+    record = uq.Record(u, y, 100.0, [coil], [acc])
+    if kind == "polynomials":
+        model = uq.identify.Arx(order=1).identify(record).model
+    else:
+        model = uq.StateSpace([[0.7]], [[1.0]], [[0.5]], [[0.0]], 100.0, [coil], [acc])
+    uq.validate.compare(model, record)
+
+    def wired(inputs, outputs):
+        return uq.Record(u, y, 100.0, [inputs], [outputs])
+
+    said = (
+        "'coil' is an input of the model, which goes from coil to acc, and an output of the record, from acc to coil;"
+    )
+    with pytest.raises(InputError, match=said):
+        uq.validate.compare(model, uq.Record(y, u, 100.0, [acc], [coil]))
+    with pytest.raises(InputError, match=r"'acc' is an output of the model.* an input of the record"):
+        uq.validate.compare(model, wired(acc, uq.Channel("place", "um")))
+    with pytest.raises(
+        InputError, match="output 1 is 'acc' in m/s\\^2 of the model and 'acc' in mm/s\\^2 of the record"
+    ):
+        uq.validate.compare(model, wired(coil, uq.Channel("acc", "mm/s^2")))
+    # other names, other spellings and units that nobody stated contradict nothing, nor does a name on both sides
+    for fine in (
+        wired(uq.Channel("push", "N"), uq.Channel("acc", "m/s²")),
+        wired(uq.Channel("coil"), uq.Channel("acc")),
+    ):
+        uq.validate.compare(model, fine)
+    uq.validate.compare(uq.StateSpace([[0.7]], [[1.0]], [[0.5]], [[0.0]], 100.0, ["z"], ["z"]), wired("z", "z"))

@@ -24,11 +24,18 @@ from ultraquiet.deploy.law.coefficients import anti_windup_gain
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import FormChoice, choose, error_of, require_stable
 from ultraquiet.deploy.law.kind import require_law
-from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, own_limits, require_discrete, require_plant
+from ultraquiet.deploy.law.law import (
+    DTYPES,
+    Law,
+    actuator_limits,
+    own_limits,
+    require_discrete,
+    require_plant,
+    within,
+)
 from ultraquiet.deploy.law.realisation import realisation
 from ultraquiet.deploy.law.rounding import rounded
 from ultraquiet.deploy.options import C31Budget, CodeOptions, options_and_budget
-from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -263,18 +270,10 @@ def _wires(controller: StateSpace, law: Law) -> dict[str, list[str]]:
     return {
         "measurements": [wire.label for wire in controller.actuators],
         "commands": [
-            _within(wire, low, high)
+            within(wire, low, high)
             for wire, (low, high) in zip(controller.sensors, law.known_limits.tolist(), strict=True)
         ],
     }
-
-
-def _within(wire: Channel, low: float, high: float) -> str:
-    """Return a command with the limits that the code keeps."""
-    if np.isfinite([low, high]).all():
-        return f"{wire.name} {low:g} to {high:g} {wire.unit}".rstrip()
-    ends = [f"{word} {end:g} only" for word, end in (("below at", low), ("above at", high)) if np.isfinite(end)]
-    return f"{wire.label}, {'not limited' if not ends else f'limited {ends[0]}'}"
 
 
 def _finite(value: float) -> float | None:

@@ -22,10 +22,13 @@ SPEAKING = {  # names that say themselves what a column is
 TIME_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 CLOCKS_AGREE = 1e-3  # two rates nearer than this share are one clock: crystals differ by less, rounded steps too
 JITTER = 0.5  # in samples: a stamp further from an even clock than this belongs to its neighbour
-# Behind a slash, as ISO 80000 heads a column, only what is surely a unit: `force / displacement` is a name.
-UNIT = re.compile(
-    r"[numkMGµμ]?(?:V|A|N|Nm|N m|g|s|m|Pa|T|W|Hz|rad|deg|bar|(?:m|rad|deg|V)/s(?:\^?2|²)?)|min|h|%|°|°C|K|dB|rpm|1"
-)
+# Behind a slash, as ISO 80000 heads a column, only what is surely a unit: `force / displacement` is a name. A unit of
+# several is products of such and their quotients; only below a line is `s2` a power, `coil / A2` may count coils.
+ONE_UNIT = r"(?:[numkMGµμ]?(?:V|A|N|Nm|g|s|m|Pa|T|W|Hz|rad|deg|bar)|cm|hPa|min|h|%|°|°C|K|dB|rpm|1)"
+RAISED = rf"{ONE_UNIT}(?:\^-?\d|[²³]|⁻[¹²³])?"
+PRODUCT, BELOW = (rf"{each}(?:[ ·*]{each})*" for each in (RAISED, rf"(?:{RAISED}|{ONE_UNIT}\d)"))
+UNIT = re.compile(rf"{PRODUCT}(?:/(?:{BELOW}|\({BELOW}(?:/{BELOW})*\)))*")
+MOST_SLASHES = 8  # that are looked behind, from the end
 MOST_COLUMNS = 10_000  # the largest arrays of sensors have hundreds
 MOST_DIGITS = 17  # that a float64 needs in decimal
 NEIGHBOURS = 4  # floats to either side of a quotient of stamps, one of which is the rate that they were written by
@@ -269,12 +272,44 @@ def split_unit(header: str) -> tuple[str, str]:
     (('strut 1', 'V'), ('load', 'rad/s'), ('y', ''))
     >>> split_unit("t / s"), split_unit("v / mm/s"), split_unit("force / displacement")
     (('t', 's'), ('v', 'mm/s'), ('force / displacement', ''))
+    >>> split_unit("acc / (m/s^2)"), split_unit("gain [V/(m/s)]"), split_unit("force / (mean displacement)")
+    (('acc', 'm/s^2'), ('gain', 'V/(m/s)'), ('force / (mean displacement)', ''))
     """
-    match = re.fullmatch(r"(.*\S)\s*[\[(]([^\[\]()]*)[\])]", header.strip())
-    if match is None:
-        name, _, unit = header.strip().partition(" / ")
-        return (name.strip(), unit.strip()) if UNIT.fullmatch(unit.strip()) else (header.strip(), "")
-    return match[1], match[2].strip()
+    header = header.strip()
+    before, inside = _last_bracket(header)
+    if before and not before.endswith("/"):
+        return before, inside
+    return _behind_a_slash(header, "/" if before else " / ") or (header, "")
+
+
+def _behind_a_slash(header: str, slash: str) -> tuple[str, str] | None:
+    """Return name and unit where a unit stands behind the first slash that one can stand behind."""
+    parts = header.split(slash)
+    tried = range(max(1, len(parts) - MOST_SLASHES), len(parts))
+    cuts = ((slash.join(parts[:k]).strip(), unbracketed(slash.join(parts[k:]))) for k in tried)
+    return next(((name, unit) for name, unit in cuts if name and UNIT.fullmatch(unit)), None)
+
+
+def unbracketed(unit: str) -> str:
+    """Return a unit without the brackets around the whole of it.
+
+    >>> unbracketed("[m/s]"), unbracketed("V/(m/s)"), unbracketed("(V)/(A)"), unbracketed("[]")
+    ('m/s', 'V/(m/s)', '(V)/(A)', '')
+    """
+    before, inside = _last_bracket(unit.strip())
+    return inside if not before else unit.strip()
+
+
+def _last_bracket(text: str) -> tuple[str, str]:
+    """Return what stands before the bracket that ends a text, and in it; nothing and all of it where none does."""
+    if not text.endswith(("]", ")")):
+        return "", text
+    depth = 0
+    for k in range(len(text) - 1, -1, -1):
+        depth += (text[k] in "])") - (text[k] in "[(")
+        if depth == 0:
+            return text[:k].strip(), text[k + 1 : -1].strip()
+    return "", text
 
 
 def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequence[str]] | None = None) -> FileTable:

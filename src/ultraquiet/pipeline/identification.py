@@ -15,12 +15,14 @@ from ultraquiet.identify.successive_orders import frequency_and_damping
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
     IdentificationFacts,
+    JudgedPlant,
     PaperFit,
     PlantFacts,
     PreferredModels,
     RankedModel,
     RecordPlant,
     ResponsePlant,
+    WeightedPlant,
 )
 from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import IdentifyTable, Paper, Plant
@@ -154,17 +156,31 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
     response = measured_response(records, settings)
     rate_hz = group(records, settings.records[0])[0].rate_hz
     fit = method.identify_response(response, rate_hz)
-    facts = ResponsePlant(
-        status=str(fit.status),
-        states=fit.model.states,
-        order=fit.order,
-        held_out_error=fit.error[1],
-        errors_by_order=fit.errors_by_order,
-        modes_by_order={
-            n: frequency_and_damping(poles, rate_hz) for n, poles in getattr(fit, "poles_by_order", {}).items()
-        },
-    )
-    return Outcome({stored.PLANT: fit.model, stored.RESPONSE: response}, facts)
+    return Outcome({stored.PLANT: fit.model, stored.RESPONSE: response}, _of_response(method, fit, rate_hz))
+
+
+def _of_response(method: Any, fit: Any, rate_hz: float) -> PlantFacts:
+    """Return what a fit of a response says of itself; its numbers by order are another thing with each method."""
+    status, states = str(fit.status), fit.model.states
+    if isinstance(fit, identify.ResponseFit):
+        return ResponsePlant(
+            status=status,
+            states=states,
+            order=fit.order,
+            held_out_error=fit.error[1],
+            errors_by_order=fit.errors_by_order,
+            modes_by_order={n: frequency_and_damping(poles, rate_hz) for n, poles in fit.poles_by_order.items()},
+        )
+    if isinstance(fit, identify.WeightedFit):
+        return WeightedPlant(
+            status=status,
+            states=states,
+            order=fit.order,
+            misfit_in_noise=fit.error[1],
+            criterion=method.criterion,
+            criterion_by_order=fit.errors_by_order,
+        )
+    return JudgedPlant(status=status, states=states)
 
 
 def recorded(names: Sequence[str], groups: Mapping[str, Sequence[str]]) -> list[str]:

@@ -6,8 +6,9 @@ from ultraquiet._base.constraints import FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import innovation, prediction
 from ultraquiet.values import InnovationForm, PolynomialMatrix, PolynomialModel, Record, StateSpace
+from ultraquiet.values.channel import same_unit
 from ultraquiet.values.handed_over.kinds import takes_values
-from ultraquiet.values.joined.wires import moved
+from ultraquiet.values.joined.wires import is_numbered, moved
 
 Model = PolynomialMatrix | PolynomialModel | StateSpace
 Noisy = PolynomialMatrix | PolynomialModel | InnovationForm  # models that say what their outputs carry besides
@@ -97,6 +98,8 @@ def _matching(model: Model, record: Record) -> None:
             f"validate: the model has {nu} inputs and {ny} outputs, the record {len(record.actuators)} and "
             f"{len(record.sensors)}; pick the channels with record.pick."
         )
+    if not isinstance(model, PolynomialModel):  # which knows none of its channels
+        _same_sides(model, record)
     for kind, side in (("input", "actuators"), ("output", "sensors")):
         theirs = getattr(model, side, ())
         found = moved(getattr(record, side), theirs)
@@ -106,6 +109,39 @@ def _matching(model: Model, record: Record) -> None:
                 f"validate: '{name}' is {kind} {here} of the record and {there} of the model; bring the record's into "
                 f"the model's order, {', '.join(c.name for c in theirs)}, with record.pick."
             )
+    if not isinstance(model, PolynomialModel):
+        _same_units(model, record)
+
+
+def _same_sides(model: PolynomialMatrix | StateSpace, record: Record) -> None:
+    """Refuse an input of the model that is an output of the record alone, or the other way round.
+
+    The model would be driven by what it is to give. A name on both sides of either says nothing.
+    """
+    ins, outs, driven, heard = (
+        [c.name for c in side] for side in (model.actuators, model.sensors, record.actuators, record.sensors)
+    )
+    for name, here, there in [*((n, "input", "output") for n in ins), *((n, "output", "input") for n in outs)]:
+        right, wrong, others = (driven, heard, outs) if here == "input" else (heard, driven, ins)
+        if name in wrong and name not in right and name not in others:
+            raise InputError(
+                f"validate: '{name}' is an {here} of the model, which goes from {', '.join(ins)} to {', '.join(outs)}, "
+                f"and an {there} of the record, from {', '.join(driven)} to {', '.join(heard)}; choose the record's "
+                "inputs and outputs (--inputs, --outputs) as the model has them."
+            )
+
+
+def _same_units(model: PolynomialMatrix | StateSpace, record: Record) -> None:
+    """Refuse channels that meet in two units; one that nobody stated, or that was only numbered, fits any."""
+    sides = (("input", model.actuators, record.actuators), ("output", model.sensors, record.sensors))
+    for kind, theirs, ours in sides:
+        for k, (one, other) in enumerate(zip(theirs, ours, strict=True), 1):
+            known = one.unit and other.unit and not is_numbered(one) and not is_numbered(other)
+            if known and not same_unit(one.unit, other.unit):
+                raise InputError(
+                    f"validate: {kind} {k} is '{one.name}' in {one.unit} of the model and '{other.name}' in "
+                    f"{other.unit} of the record; choose the channel that is meant, or scale it in a mapping."
+                )
 
 
 def _estimate(initial: str) -> bool:

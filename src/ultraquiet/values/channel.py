@@ -1,5 +1,6 @@
 """A channel: one wire with a name, a unit and limits."""
 
+import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -70,6 +71,20 @@ def usual_level(wires: Iterable[Channel]) -> float:
     """
     swings = [swing for c in wires if 0 < (swing := min(-c.low, c.high)) < float("inf")]
     return LEVEL_SHARE * min(swings) if swings else 1.0
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two spellings are of one unit: of micro, of powers, with or without brackets around.
+
+    >>> same_unit("m/s²", "(m/s^2)"), same_unit("µm", "um"), same_unit("mm/s", "m/s"), same_unit("mN", "MN")
+    (True, True, False, False)
+    """
+    return _plainly(one) == _plainly(other)
+
+
+def _plainly(unit: str) -> str:
+    plain = unicodedata.normalize("NFKC", unit).replace("\N{GREEK SMALL LETTER MU}", "u")  # NFKC makes U+00B5 one too
+    return "".join(letter for letter in plain if letter not in " ^()")
 
 
 def squared(unit: str) -> str:

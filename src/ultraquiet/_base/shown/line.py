@@ -82,6 +82,15 @@ def rounded(value: float, digits: int = 1) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
+def figure_or(value: float | None, digits: int = 1, otherwise: str = "-") -> str:
+    """Return a number with so many decimals, or what stands for one that nobody knows or that is not finite.
+
+    >>> figure_or(2.347, 2), figure_or(float("nan")), figure_or(None), figure_or(float("-inf"), otherwise="unstable")
+    ('2.35', '-', '-', 'unstable')
+    """
+    return otherwise if value is None or not np.isfinite(value) else rounded(value, digits)
+
+
 def on_its_side(value: float, bound: float, least: int, form: str = "f") -> str:
     """Write a figure that misses a bound with `least` digits of a format, and more where these would say it is kept.
 

@@ -38,12 +38,6 @@ def requested_limits(text: str | None, law: "StateSpace") -> FloatArray | None:
     return actuator_limits(np.broadcast_to(ranges, (len(law.sensors), 2)), len(law.sensors), "--limits")
 
 
-def requested_size(text: str | None, law: "StateSpace") -> float | None:
-    """Return the full range of the commands in whole numbers, one size for all: the least of the limits as written."""
-    limits = requested_limits(text, law)
-    return None if limits is None else float(np.abs(limits).min())
-
-
 def requested_range(text: str | None) -> float | None:
     """Return the full range of the readings, one size for all, as written; None where nothing is.
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.deploy.margins import rounded_loop
-from ultraquiet.cli.deploy.ranges import as_typed, requested_range, requested_size
+from ultraquiet.cli.deploy.ranges import as_typed, requested_limits, requested_range
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -41,11 +41,12 @@ def show_word_lengths(
 ) -> "Status":
     """Print what each precision and form would make of the law, in the loop when a plant is given; return the best."""
     from ultraquiet import deploy
+    from ultraquiet.deploy.fixed_point.ranges import cut_short
     from ultraquiet.values.status import StatusWord
 
     grid = TextTable(HEADS, "word lengths")
-    span, full = requested_range(reading), requested_size(limits, law)
-    compared = deploy.word_lengths(law, plant, input_v=span, output_v=full)
+    span, ends = requested_range(reading), requested_limits(limits, law)
+    compared = deploy.word_lengths(law, plant, input_v=span, output_v=ends)
     for row in compared:
         figures = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
         cells = [
@@ -54,7 +55,7 @@ def show_word_lengths(
         grid.add(row.precision, row.form, row.status.word, *cells)
     screen().table(grid)
     refused = (as_typed(row.status.sentence) for row in compared if row.status.word == StatusWord.REFUSED)
-    screen().say(*dict.fromkeys(refused))
+    screen().say(*filter(None, (cut_short(law, ends), *dict.fromkeys(refused))))
     screen().result(compared)
     return min((row.status for row in compared), key=lambda status: not status.ok)
 
@@ -73,9 +74,8 @@ def deploy_fixed(
     from ultraquiet import deploy
     from ultraquiet.deploy.figures import said
 
-    full = requested_size(limits, law)
-    span = requested_range(reading)
-    deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant, input_v=span, output_v=full)
+    span, ends = requested_range(reading), requested_limits(limits, law)
+    deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant, input_v=span, output_v=ends)
     verified = deployment.verify(steps)
     loop = None if plant is None else rounded_loop(plant, deployment.quantised, law)
     grid = TextTable(("what", "value"), f"{folder}")

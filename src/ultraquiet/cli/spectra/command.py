@@ -13,7 +13,7 @@ from ultraquiet.cli.output.pictures import FORMATS, format_of_picture, picture_b
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.targets import require_free
 from ultraquiet.cli.output.text_table import TextTable
-from ultraquiet.values.channel import ratio, squared
+from ultraquiet.values.channel import ratio, same_unit, squared
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,7 +65,8 @@ def spectra(
         str | None, typer.Option(help="What the sensors read: displacement, velocity or acceleration.")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Unit of the outputs, when the file does not say: m/s, g, ...")
+        str | None,
+        typer.Option(help="Unit of the outputs, when the file does not say, or --sensitivity makes one: m/s, g, ..."),
     ] = None,
     sensitivity: Annotated[
         float | None, typer.Option(help="What a sensor reads per unit; the outputs are divided by it.")
@@ -103,8 +104,20 @@ def _scaled(data: "Record", unit: str | None, sensitivity: float | None) -> "Rec
     divisor = 1.0 if sensitivity is None else positive("spectra", "sensitivity", sensitivity)
     if sensitivity is not None and unit is None:
         raise InputError("spectra: '--sensitivity' needs '--unit', the unit it turns readings into (for instance m/s).")
+    if sensitivity is None and unit is not None:
+        _agreed(data, unit)
     sensors = [c if unit is None else Channel(c.name, unit) for c in data.sensors]
     return Record(data.inputs, data.outputs / divisor, data.rate_hz, data.actuators, sensors, data.provenance)
+
+
+def _agreed(data: "Record", unit: str) -> None:
+    """Refuse a unit that contradicts the one that an output has already: its numbers would stay as they are."""
+    other = next((c for c in data.sensors if c.unit and not same_unit(c.unit, unit)), None)
+    if other is not None:
+        raise InputError(
+            f"spectra: '{other.name}' is recorded in {other.unit}, which '--unit {unit}' contradicts; leave it away, "
+            f"or give '--sensitivity', how many {other.unit} one {unit} reads as."
+        )
 
 
 def _density(data: "Record", request: _Request) -> "_Display":

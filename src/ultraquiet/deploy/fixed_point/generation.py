@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import between, one_of, positive
 from ultraquiet._base.errors import InputError
@@ -16,7 +17,7 @@ from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR,
 from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
 from ultraquiet.deploy.fixed_point.law import FixedLaw
-from ultraquiet.deploy.fixed_point.ranges import full_ranges, full_size
+from ultraquiet.deploy.fixed_point.ranges import cut_short, full_ranges, full_size, held_to
 from ultraquiet.deploy.fixed_point.reach import all_corners, largest_commands, limited_commands, state_corners
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.fixed_point.self_test import self_test
@@ -48,7 +49,8 @@ class FixedOptions(Shown):
         form: `modal`, `delta`, or `auto`: the one that changes the loop less.
         scaling: `l1` (no overflow possible) or `l2` (finer states, limited in the code).
         input_v: full range of a measurement, in its unit; the largest of the law's own channels when absent.
-        output_v: full range of a command, in its unit; the smallest of the law's own channels when absent.
+        output_v: full range of a command, in its unit, or limits of each, `(nu,)` or `(nu, 2)`, of which the smallest
+            size holds all of them on both sides of zero; those of the law's own channels when absent.
         ramp_s: about this many seconds from zero to full command: the nearest power of two of samples.
         tolerance: largest relative error of coefficients, and largest rounding noise as a share of the range.
 
@@ -62,7 +64,7 @@ class FixedOptions(Shown):
     form: str = "auto"
     scaling: str = "l1"
     input_v: float | None = None
-    output_v: float | None = None
+    output_v: ArrayLike | None = None
     ramp_s: float = 0.5
     tolerance: float = TOLERANCE
 
@@ -130,9 +132,9 @@ def generate_fixed(
     law, error = _best(even, word, name, loop, options, bits)
     _require_movement(law, even)
     require_stable(law.state_space(), even, loop, f"{law.word} coefficients in {law.form} form", _more(law))
-    deployment = FixedDeployment(
-        law, folder, _tables(law, error), _status(law, error, plant is None, options.tolerance, options.scaling)
-    )
+    status = _status(law, error, plant is None, options.tolerance, options.scaling)
+    status = Status(status.word, f"{status.sentence} {cut_short(controller, options.output_v)}".rstrip())
+    deployment = FixedDeployment(law, folder, _tables(law, error, controller), status)
     write_folder(folder, _texts(deployment, controller))
     return deployment
 
@@ -200,7 +202,7 @@ def _best(
     return min(tried, key=lambda attempt: attempt[1])
 
 
-def _tables(law: FixedLaw, error: float) -> dict[str, Any]:
+def _tables(law: FixedLaw, error: float, controller: StateSpace) -> dict[str, Any]:
     return {
         "states": law.order,
         "form": law.form,
@@ -214,6 +216,8 @@ def _tables(law: FixedLaw, error: float) -> dict[str, Any]:
         "multiply_adds": law.multiply_adds,
         "coefficient_bytes": law.coefficient_bytes,
         "bit_exact": None,
+        "measurements": held_to(law.input_v, controller.actuators),
+        "commands": held_to(law.output_v, controller.sensors),
     }
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frozen, one_of
 from ultraquiet._base.errors import InputError
@@ -29,7 +30,7 @@ def fixed_law(
     *,
     scaling: str = "l1",
     input_v: float | None = None,
-    output_v: float | None = None,
+    output_v: ArrayLike | None = None,
     name: str = "controller",
     ramp_bits: int = 0,
 ) -> FixedLaw:
@@ -42,8 +43,8 @@ def fixed_law(
         scaling: `l1`: no state or sum can overflow while measurements stay in range; `l2`: states keep more bits, and
             are limited where noise at full range would carry them past four times its root mean square.
         input_v: full range of every measurement, in its unit; the largest of the law's own channels when absent.
-        output_v: full range of every command, in its unit; commands saturate there. The smallest of the law's own
-            channels when absent.
+        output_v: full range of every command, in its unit; commands saturate there. Of limits of each, `(nu,)` or
+            `(nu, 2)`, the smallest size; that of the law's own channels when absent.
         name: prefix of every file and symbol.
         ramp_bits: the ramp takes 2^ramp_bits steps.
 

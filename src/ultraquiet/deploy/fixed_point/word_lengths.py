@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw
+from ultraquiet.deploy.fixed_point.ranges import command_limits
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, sensitivities
@@ -59,7 +61,7 @@ def word_lengths(
     *,
     precisions: Sequence[str] = PRECISIONS,
     input_v: float | None = None,
-    output_v: float | None = None,
+    output_v: ArrayLike | None = None,
     tolerance: float = TOLERANCE,
 ) -> tuple[WordLength, ...]:
     """Return what rounding costs, for each precision and each form the law has; best first within a precision.
@@ -69,7 +71,8 @@ def word_lengths(
         plant: G of the loop y = G u; when given the loop is judged, not the law alone.
         precisions: some of `float64`, `float32`, `q31`, `q15`.
         input_v: full range of a measurement in fixed point, in its unit; the largest of the law's own when absent.
-        output_v: full range of a command there; the smallest of the law's own channels when absent.
+        output_v: full range of a command there, or limits of each, as `generate_fixed` takes them; the smallest of the
+            law's own channels when absent.
         tolerance: largest relative error, and largest rounding noise over the range, that counts as `ok`.
 
     Returns:
@@ -85,8 +88,9 @@ def word_lengths(
     """
     if not isinstance(controller, StateSpace) or controller.rate_hz is None:
         raise InputError("word_lengths: the controller must be a StateSpace in discrete time.")
-    for name, size in (("input_v", input_v), ("output_v", output_v)):
-        positive("word_lengths", name, 1.0 if size is None else size)
+    positive("word_lengths", "input_v", 1.0 if input_v is None else input_v)
+    if output_v is not None:
+        command_limits("word_lengths", controller, output_v)
     require_plant(plant)
     if not isinstance(precisions, Sequence):
         raise InputError(f"word_lengths: 'precisions' must list some of {', '.join(PRECISIONS)}, got {precisions!r}.")
@@ -171,7 +175,7 @@ def multiply_adds(law: Law) -> int:
 
 
 def _fixed(
-    judge: _Judge, word: str, form: str, scaling: str, input_v: float | None, output_v: float | None
+    judge: _Judge, word: str, form: str, scaling: str, input_v: float | None, output_v: ArrayLike | None
 ) -> WordLength:
     name = form if scaling == "l1" else f"{form} {scaling}"
     try:

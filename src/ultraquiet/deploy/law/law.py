@@ -13,6 +13,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.realisation import DELTA_FORMS, turned
+from ultraquiet.values.channel import Channel
 from ultraquiet.values.joined.algebra import is_singular
 from ultraquiet.values.state_space import StateSpace
 
@@ -184,6 +185,18 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
         raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {limits.shape}.")
     require_zero(limits, f"'{what}'")
     return limits
+
+
+def within(wire: Channel, low: float, high: float) -> str:
+    """Return a channel with the range that the code keeps it in.
+
+    >>> within(Channel("coil", "N"), -3.0, 4.0), within(Channel("coil", "N"), -np.inf, 4.0)
+    ('coil -3 to 4 N', 'coil (N), limited above at 4 only')
+    """
+    if np.isfinite([low, high]).all():
+        return f"{wire.name} {low:g} to {high:g} {wire.unit}".rstrip()
+    ends = [f"{word} {end:g} only" for word, end in (("below at", low), ("above at", high)) if np.isfinite(end)]
+    return f"{wire.label}, {'not limited' if not ends else f'limited {ends[0]}'}"
 
 
 def require_zero(limits: FloatArray, where: str) -> None:

@@ -16,7 +16,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.confined import announce
 from ultraquiet.files.readers.cells import first_fault, is_missing, is_number, without_remark
-from ultraquiet.files.table import MOST_COLUMNS, Column, FileTable, split_unit
+from ultraquiet.files.table import MOST_COLUMNS, Column, FileTable, split_unit, unbracketed
 from ultraquiet.values import Channel, Record
 
 DELIMITERS = (";", "\t", ",")
@@ -127,10 +127,11 @@ def write_text(record: Record) -> bytes:
 
 def _writable(c: Channel) -> None:
     texts = (c.name, c.unit)
-    if not c.name or any(len(t.splitlines()) > 1 or t != t.strip() for t in texts) or set(c.unit) & set("[]()"):
+    broken = not c.name or any(len(t.splitlines()) > 1 or t != t.strip() for t in texts) or set(c.unit) & set("[]()")
+    if broken or split_unit(f"{c.name} [{c.unit}]") != texts:
         raise InputError(
             f"export_record: the name {c.name!r} with unit {c.unit!r} cannot stand in a line of text; rename it, "
-            "without line breaks, outer blanks or brackets in the unit."
+            "without line breaks, outer blanks, a slash at its end or brackets in the unit."
         )
 
 
@@ -227,7 +228,7 @@ def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[tu
     rows = [_named(_bare(line, delimiter), delimiter, count) for line in before if line.strip()][-2:]
     names = rows[-1] if rows else []
     if len(rows) == 2 and len(rows[0]) == len(rows[1]) == count and all(rows[0]) and _are_units(rows):
-        return [(name, unit.strip("[]()")) for name, unit in zip(*rows, strict=True)]
+        return [(name, unbracketed(unit)) for name, unit in zip(*rows, strict=True)]
     # One or two columns may go without a name; a line of few cells is a title.
     if len(names) != count or 2 * sum(map(bool, names)) < count:
         names = [""] * count

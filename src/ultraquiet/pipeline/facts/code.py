@@ -100,6 +100,8 @@ class WholeNumberFacts(Proved):
     multiply_adds: int
     coefficient_bytes: int
     bit_exact: bool | None
+    measurements: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
     word_formats: tuple[WordFormatFacts, ...] = ()
     status: str
     verification: str

@@ -73,7 +73,7 @@ class RecordPlant:
 
 @fact
 class ResponsePlant:
-    """Stage `plant`, from periodic responses; errors are relative, over the held-out lines.
+    """Stage `plant`, from periodic responses, of which lines are held out; errors are relative, over these lines.
 
     `modes_by_order` are frequency in Hz and damping of the poles of every order tried, `(m, 2)`.
     """
@@ -86,7 +86,31 @@ class ResponsePlant:
     modes_by_order: Mapping[int, Matrix] = field(default_factory=dict)
 
 
-PlantFacts = RecordPlant | ResponsePlant
+@fact
+class WeightedPlant:
+    """Stage `plant`, from periodic responses weighed by their noise, of which no line is held out.
+
+    `misfit_in_noise` is RMS at the lines fitted, in deviations of their noise: 1 where noise alone is left.
+    `criterion_by_order` is what the order was chosen by, less its least; it is no error.
+    """
+
+    status: str
+    states: int
+    order: int
+    misfit_in_noise: float
+    criterion: str
+    criterion_by_order: Mapping[int, float]
+
+
+@fact
+class JudgedPlant:
+    """Stage `plant`, from periodic responses by a method that tries no orders: `status` says what it misses."""
+
+    status: str
+    states: int
+
+
+PlantFacts = RecordPlant | ResponsePlant | WeightedPlant | JudgedPlant
 
 
 @fact

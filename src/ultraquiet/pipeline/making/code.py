@@ -68,14 +68,14 @@ def options(settings: Deploy) -> dict[str, Any]:
 
 
 def full_ranges(limits: ArrayLike | None, settings: Deploy) -> dict[str, Any]:
-    """Return the ranges of whole numbers, one size for all readings and one for all commands: the least of the limits.
+    """Return the ranges of whole numbers: one size for all readings, and the limits of the commands.
 
-    None leaves it to the law's own channels.
+    None leaves them to the law's own channels.
 
     >>> full_ranges([[-5.0, 5.0], [-2.0, 3.0]], Deploy(precision="q15", range=10.0))
-    {'input_v': 10.0, 'output_v': 2.0}
+    {'input_v': 10.0, 'output_v': [[-5.0, 5.0], [-2.0, 3.0]]}
     """
-    return {"input_v": settings.range, "output_v": None if limits is None else float(np.abs(limits).min())}
+    return {"input_v": settings.range, "output_v": None if limits is None else np.asarray(limits, dtype=float).tolist()}
 
 
 def _proved(code: "Deployment | FixedDeployment", settings: Deploy, tones_hz: Sequence[float]) -> str:

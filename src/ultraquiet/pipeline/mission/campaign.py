@@ -160,7 +160,7 @@ def _status(rows: Sequence[Row], share: float, interval: tuple[float, float]) ->
     drawn = counted(len(rows), "drawn bench", "drawn benches")
     return (
         f"{word}: The loop is stable on {stable} of {drawn} (95 % sure of {in_percent(interval[0], 1)}); "
-        f"95 % of them get the worst direction {_at_least(depth['5%'])} and peak at no more than {peak['95%']:.1f} dB."
+        f"95 % of them get the worst direction {_at_least(depth['5%'])} and peak {_at_most(peak['95%'])}."
     )
 
 
@@ -175,6 +175,15 @@ def _at_least(attenuation_db: float) -> str:
     if loudness(attenuation_db) == loudness(0.0):
         return "no louder"
     return f"{loudness(attenuation_db)} or {'more' if attenuation_db > 0 else 'less'}"
+
+
+def _at_most(peak_db: float) -> str:
+    """Return how far so many benches peak.
+
+    >>> _at_most(6.0), _at_most(float("inf"))
+    ('at no more than 6.0 dB', 'without bound')
+    """
+    return f"at no more than {peak_db:.1f} dB" if np.isfinite(peak_db) else "without bound"
 
 
 def _curves(campaign: simulate.Campaign, rows: Sequence[Row], worst: Sequence[WorstCase]) -> CampaignCurves:

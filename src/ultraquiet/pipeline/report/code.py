@@ -22,7 +22,7 @@ def code(result: StudyResult) -> Section:
     rows = [(name, *(_of_code(facts, column) for column in columns)) for name, facts in result.deployment.items()]
     heads = ("controller", *map(figure_words, columns))
     sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
-    sentences += _of_vectors(result)
+    sentences += [*_of_vectors(result), *_of_ranges(result)]
     note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
     failed = [name for name, facts in result.deployment.items() if facts.failed]
     reduced = reductions(result)
@@ -49,6 +49,15 @@ def _of_vectors(result: StudyResult) -> list[str]:
     """Say of each law's C31 assembly how far its vectors go."""
     codes = {name: facts for name, facts in result.deployment.items() if isinstance(facts, CodeFacts)}
     return [f"{name}, C31 test vectors: {facts.c31_vectors}." for name, facts in codes.items() if facts.c31_vectors]
+
+
+def _of_ranges(result: StudyResult) -> list[str]:
+    """Say of code of whole numbers what its words are held to."""
+    codes = {name: facts for name, facts in result.deployment.items() if isinstance(facts, WholeNumberFacts)}
+    return [
+        f"{name}, ranges of its words: readings {', '.join(facts.measurements)}; commands {', '.join(facts.commands)}."
+        for name, facts in codes.items()
+    ]
 
 
 def _word_lengths(result: StudyResult) -> list[Table]:

@@ -95,12 +95,12 @@ def _figures(result: StudyResult, other: Finished) -> Iterator[tuple[object, ...
                 continue
             for key, (words, more) in FIGURES.items():
                 here, beyond = getattr(loop, key), found.get(key)
-                if here is not None and beyond is not None:
+                if here is not None and beyond is not None and np.isfinite(here):
                     yield name, unit, words, f"{here:.1f}", f"{beyond:.1f}", _difference(here - beyond, more)
             for tone, facts in loop.tones.items():
                 beyond = ((found.get("tones") or {}).get(tone) or {}).get("reduction_db")
-                if beyond is not None:
-                    words, here = f"worst channel at {tone} Hz, dB", facts.reduction_db
+                words, here = f"worst channel at {tone} Hz, dB", facts.reduction_db
+                if beyond is not None and np.isfinite(here):
                     yield name, unit, words, f"{here:.1f}", f"{beyond:.1f}", _difference(here - beyond, True)
 
 

@@ -53,7 +53,8 @@ def _figures(limit: DesignLimit | NoDistance, of_every: bool) -> list[str]:
     if isinstance(limit, NoDistance):
         return ["-"] * (len(COLUMNS) - 1 + of_every * len(OF_EVERY))
     reached, beyond = (limit.attenuation_db, limit.peak_db), (limit.alone_db, limit.limit_db, limit.left_db)
-    gain = f"{limit.control_gain:.3g}"
+    # An unstable loop has no |K S|.
+    gain = f"{limit.control_gain:.3g}" if np.isfinite(limit.control_gain) else "-"
     robust = (limit.robust_alone_db, limit.robust_limit_db) if of_every else ()
     return [*map(_number, reached), gain, *map(_number, beyond), *map(_number, robust)]
 

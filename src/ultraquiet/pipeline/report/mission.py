@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.shown.line import counted, in_percent, loudness, opening, rounded
+from ultraquiet._base.shown.line import counted, figure_or, in_percent, loudness, opening, rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
     CampaignCurves,
@@ -46,9 +48,10 @@ def payload(result: StudyResult) -> Section:
 def _row(loop: PayloadLoop | NoPayload, tones: list[str]) -> list[str]:
     if isinstance(loop, NoPayload):
         return ["-"] * (3 + len(tones))
-    each = [rounded(loop.tones_db[f]) if f in loop.tones_db else "-" for f in tones]
-    force = "-" if loop.force is None else rounded(loop.force.reduction_db)
-    return [rounded(loop.reduction_db), f"{rounded(loop.worst_db)} at {loop.worst_hz:.3g} Hz", *each, force]
+    each = [figure_or(loop.tones_db.get(f)) for f in tones]
+    force = figure_or(None if loop.force is None else loop.force.reduction_db)
+    worst = f"{rounded(loop.worst_db)} at {loop.worst_hz:.3g} Hz" if np.isfinite(loop.worst_db) else "-"
+    return [figure_or(loop.reduction_db), worst, *each, force]
 
 
 def _sentences(result: StudyResult) -> Iterator[str]:
@@ -159,7 +162,7 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     for group, stable, figures in facts.groups():
         for figure, label in labels.items():
             values = (figures[figure][share] for share in spread)
-            rows.append([group, in_percent(stable, 1), label, *(f"{v:.1f}" for v in values)])
+            rows.append([group, in_percent(stable, 1), label, *map(_of_a_case, values)])
     columns = ("unit", "stable", "figure, dB", "least", "5 %", "median", "95 %", "most")
     tables = [Table("Drawn benches", columns, rows), _worst(facts)]
     figures = {labels[name]: dict(getattr(curves, name)) for name in labels}
@@ -171,9 +174,21 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     return Section("Drawn benches", text, tables, pictures)
 
 
+def _of_a_case(db: float) -> str:
+    """Return a figure of a drawn bench; an unstable loop attenuates by -inf dB and peaks at inf."""
+    return figure_or(db, otherwise="unstable" if np.isinf(db) else "-")
+
+
 def _worst(facts: CampaignFacts) -> Table:
     rows = [
-        (each.case, each.unit, f"{each.attenuation_db:.1f}", f"{each.peak_db:.1f}", each.cause or "-", each.replay)
+        (
+            each.case,
+            each.unit,
+            _of_a_case(each.attenuation_db),
+            _of_a_case(each.peak_db),
+            each.cause or "-",
+            each.replay,
+        )
         for each in facts.worst
     ]
     columns = ("case", "unit", "attenuation, dB", "peak, dB", "pulls hardest", "evaluate it again")
@@ -191,10 +206,10 @@ def commissioning(facts: CommissioningFacts) -> Section:
         (
             unit,
             in_percent(step.gain),
-            ", ".join(f"{end} {alpha:.2f} at {step.disk_hz[end]:.3g} Hz" for end, alpha in step.disk.items()),
-            ", ".join(f"{end} {db:.1f}" for end, db in step.peak_db.items()),
-            "-" if step.reduction_db is None else f"{step.reduction_db:.1f}",
-            "-" if step.next_disk is None else f"{step.next_disk:.2f}",
+            ", ".join(f"{end} {figure_or(alpha, 2)} at {step.disk_hz[end]:.3g} Hz" for end, alpha in step.disk.items()),
+            ", ".join(f"{end} {figure_or(db)}" for end, db in step.peak_db.items()),
+            figure_or(step.reduction_db),
+            figure_or(step.next_disk, 2),
         )
         for unit, found in facts.units.items()
         for step in found.steps

@@ -5,19 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.shown.line import counted, in_percent
+from ultraquiet._base.shown.line import counted, figure_or, in_percent
 from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
     Agreement,
     AnalysisFacts,
     PaperFit,
+    PlantFacts,
     PreferredModels,
     RankedModel,
     RecordFit,
+    RecordPlant,
     ResidualFacts,
     ResponsePlant,
     Root,
+    WeightedPlant,
 )
 from ultraquiet.pipeline.identification import group, sweep_groups
 from ultraquiet.pipeline.report.records import noted, span, wires
@@ -46,13 +49,11 @@ FIT_DOUBTED = 50.0  # percent: a simulation that leaves half of what a sensor's 
 
 def identification(result: StudyResult) -> Section:
     """The choice of the order, the ranking of structures and orders, the paper's structure."""
-    facts, plant = result.identification.facts, result.plant.facts
+    facts = result.identification.facts
     best, paper = facts.preferred, result.study.paper
     units = dict.fromkeys(squared(c.unit) for c in result.design_plant.sensors)
     sentences, tables, figures = list[str](), list[Table](), list[Picture]()
-    if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
-        figures.append(pages.errors_by_order(plant.errors_by_order, plant.order))
-    figures += _stabilisation(result)
+    figures += _by_order(result.plant.facts) + _stabilisation(result)
     if best is None:
         sentences.append(
             "No records drive one actuator after the other, so no structures were ranked channel by channel."
@@ -89,11 +90,22 @@ def _simulating_better(best: PreferredModels, table: Sequence[RankedModel]) -> l
     ]
 
 
+def _by_order(plant: PlantFacts) -> list[Picture]:
+    """Return what the order of the plant was chosen by, where several were tried."""
+    if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
+        return [pages.errors_by_order(plant.errors_by_order, plant.order)]
+    if isinstance(plant, WeightedPlant) and len(plant.criterion_by_order) > 1:
+        return [pages.criterion_by_order(plant.criterion_by_order, plant.order, plant.criterion)]
+    return []
+
+
 def _stabilisation(result: StudyResult) -> list[Picture]:
     """Return the poles of one order after the other: of the response that was fitted, or of the record."""
     plant, f_hz = result.plant.facts, result.analysis.facts.f_hz
     if isinstance(plant, ResponsePlant):
         roots, taken = dict(plant.modes_by_order), plant.order
+    elif not isinstance(plant, RecordPlant):
+        return []
     else:
         (record, *_) = group(result.records, result.study.plant.records[0])
         try:
@@ -130,9 +142,9 @@ def _ranking(table: Sequence[RankedModel]) -> list[tuple[object, ...]]:
         (
             row.structure,
             row.order,
-            f"{row.median_fit_percent:.1f}",
-            f"{row.worst_fit_percent:.1f}",
-            f"{row.median_loss:.3g}",
+            figure_or(row.median_fit_percent),
+            figure_or(row.worst_fit_percent),
+            f"{row.median_loss:.3g}" if np.isfinite(row.median_loss) else "-",
             row.ok,
             f"{row.seconds:.1f}",
         )
@@ -144,8 +156,8 @@ def _by_signal(fits: Mapping[str, PaperFit]) -> list[tuple[object, ...]]:
     return [
         (
             name,
-            f"{fit.median_fit_percent:.1f}",
-            f"{fit.worst_fit_percent:.1f}",
+            figure_or(fit.median_fit_percent),
+            figure_or(fit.worst_fit_percent),
             fit.ok,
             "yes" if fit.stable else "no",
             "yes" if fit.invertible else "no",

@@ -9,7 +9,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import counted, in_percent, opening
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, frequency_axis
 from ultraquiet.pipeline.facts import stored
-from ultraquiet.pipeline.facts.models import ResponsePlant
+from ultraquiet.pipeline.facts.models import ResponsePlant, WeightedPlant
 from ultraquiet.pipeline.identification import group, grouped
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.tables.paper import Shown
@@ -189,7 +189,7 @@ def _order(result: StudyResult) -> str:
     Poles that several channels share need as many states as their residues have directions, and a delay has its own.
     """
     method, plant = result.study.plant.method, result.plant.facts
-    if isinstance(plant, ResponsePlant) and plant.order != plant.states:
+    if isinstance(plant, ResponsePlant | WeightedPlant) and plant.order != plant.states:
         return f"{method} of order {plant.order}, realised with {counted(plant.states, 'state')}"
     return f"{method}, {counted(plant.states, 'state')}"
 

@@ -25,6 +25,22 @@ def errors_by_order(errors: Mapping[int, float], chosen: int) -> Chart:
     return Chart("orders", "Choice of the order", caption, [panel])
 
 
+def criterion_by_order(scores: Mapping[int, float], chosen: int, criterion: str) -> Chart:
+    """Criterion less its least, in its own unit (twice a log-likelihood), over the order; the order that was taken."""
+    name, orders = criterion.upper(), sorted(scores)
+    curves = [
+        Curve(name, [float(n) for n in orders], [scores[n] for n in orders], "chosen", symbol="."),
+        Curve("order taken", [float(chosen)], [scores[chosen]], "bad", kind="points"),
+    ]
+    panel = ChartPanel(Axis("order", ticks="int"), Axis(f"{name} above its least (1)"), curves, height=220)
+    other = min((n for n in orders if n != chosen), key=lambda n: scores[n])
+    caption = (
+        f"{name} by order, less its least: what the fit misses of the lines against the number of its parameters. It "
+        f"chose order {chosen}; the next best is order {other}, {scores[other]:.3g} above. No line is held out."
+    )
+    return Chart("orders", "Choice of the order", caption, [panel])
+
+
 def fits_by_order(fits: Mapping[str, Sequence[tuple[int, float, float]]]) -> Chart:
     """Median and worst fit in % of every structure over its order, on records no model has seen."""
     panels: list[ChartPanel] = []
