@@ -267,7 +267,7 @@ def test_periods_of_one_record_weigh_as_their_mean_response_does(rng, seed):
     assert miss < 2e-3
 
 
-@pytest.mark.draws(false_alarm=5e-3)  # no order but 4 in 3 x 120 fits; MDL takes another once in 2 000 lines or so
+@pytest.mark.draws(false_alarm=1.5e-2)  # of 180 such fits one was of order 6 and one not white
 @pytest.mark.parametrize("periods", [3, 4, 8])
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
 def test_few_periods_give_no_line_a_mode_of_its_own(periods, unit, rng, seed):
