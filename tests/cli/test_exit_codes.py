@@ -16,7 +16,15 @@ import typer.main
 
 import ultraquiet as uq
 from ultraquiet._base import registry
-from ultraquiet._base.errors import BenchError, InputError, NumericalError, StageError, StorageError, ToolError
+from ultraquiet._base.errors import (
+    BenchError,
+    InputError,
+    Interrupting,
+    NumericalError,
+    StageError,
+    StorageError,
+    ToolError,
+)
 from ultraquiet.cli.app import app
 from ultraquiet.cli.exits.codes import EPILOG, ExitCode, exit_code
 from ultraquiet.deploy.toolchain.compiler import compiler
@@ -281,8 +289,11 @@ main()
 """
 
 
-def interrupted(script, words, cwd, begun, seconds=60.0):
-    """Start a command, wait until it is at work, press Ctrl-C; return exit code, errors and seconds until it ended."""
+def interrupted(script, words, cwd, begun, seconds=60.0, number=signal.SIGINT):
+    """Start a command, wait until it is at work, send a signal; return exit code, errors and seconds until it ended.
+
+    Ctrl-C is pressed for all its processes; a supervisor may mean the command alone, and a moment later all.
+    """
     child = subprocess.Popen(
         [sys.executable, "-c", script, *map(str, words)],
         cwd=cwd,
@@ -298,7 +309,9 @@ def interrupted(script, words, cwd, begun, seconds=60.0):
             assert time.monotonic() < end, "it does not begin"
             time.sleep(0.02)
         started = time.monotonic()
-        os.killpg(child.pid, signal.SIGINT)
+        if number != signal.SIGINT:
+            os.kill(child.pid, number)
+        os.killpg(child.pid, number)
         _, err = child.communicate(timeout=seconds)
         return child.returncode, err, time.monotonic() - started
     finally:
@@ -337,13 +350,26 @@ def test_a_signal_ends_what_takes_long(folder, rng, name):
     assert not (folder / words.split()[-1]).exists()
 
 
+def test_a_signal_that_comes_twice_at_once_interrupts_once(monkeypatch):
+    clock, handler = [100.0], Interrupting()
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    with pytest.raises(KeyboardInterrupt):
+        handler(signal.SIGTERM, None)
+    clock[0] += 0.5
+    handler(signal.SIGHUP, None)
+    clock[0] += 1.5
+    with pytest.raises(KeyboardInterrupt):
+        handler(signal.SIGTERM, None)
+
+
 STARTING = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 class Finder:
     def find_spec(self, name, *_):
         if name == {module!r}:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.{name})
 sys.meta_path.insert(0, Finder())
 sys.argv = ["ultraquiet", "methods"]
 from ultraquiet.cli import main
@@ -352,12 +378,18 @@ main()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
-@pytest.mark.parametrize("module", ["ultraquiet.cli.app", "typer", "ultraquiet.cli.workbench", "json"])
-def test_a_signal_ends_what_has_not_begun(module):
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        *((module, "SIGINT") for module in ("ultraquiet.cli.app", "typer", "ultraquiet.cli.workbench", "json")),
+        ("ultraquiet.cli.app", "SIGTERM"),
+        ("ultraquiet.cli.workbench", "SIGHUP"),
+    ],
+)
+def test_a_signal_ends_what_has_not_begun(module, name):
     """Ctrl-C while modules are being imported, half a second in which an impatient user may press it."""
-    ended = subprocess.run(
-        [sys.executable, "-c", STARTING.format(module=module)], capture_output=True, text=True, check=False
-    )
+    script = STARTING.format(module=module, name=name)
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert ended.returncode == 130, ended.stderr
     assert ended.stderr.startswith("ultraquiet: stopped")
     assert "Traceback" not in ended.stderr
@@ -366,19 +398,23 @@ def test_a_signal_ends_what_has_not_begun(module):
 STUDY = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from ultraquiet.cli import main
 main()
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
-def test_a_signal_ends_a_study_and_keeps_what_was_recorded(tmp_path):
-    first = tmp_path / "out" / "records" / "journal.txt"
-    code, err, seconds = interrupted(STUDY, ("demo", "--out", tmp_path / "out"), tmp_path, lambda _: first.exists())
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
+def test_a_signal_ends_a_study_and_keeps_what_was_recorded(tmp_path, name):
+    first, words = tmp_path / "out" / "records" / "journal.txt", ("demo", "--out", tmp_path / "out")
+    code, err, seconds = interrupted(STUDY, words, tmp_path, lambda _: first.exists(), number=getattr(signal, name))
     print(f"the study ended after {seconds:.2f} s; {err[-300:]}")
     assert code == 130
-    assert "stopped" in err
+    assert err.count("stopped; finished stages and records are kept") == 1
     assert "Traceback" not in err
+    assert "leaked" not in err
+    assert first.exists()
 
 
 @pytest.mark.slow
@@ -464,13 +500,14 @@ def test_a_signal_that_comes_while_a_bench_s_own_file_is_at_work_is_not_of_that_
     (tmp_path / "list.toml").write_text(EXCITED)
     (tmp_path / "study.toml").write_text(OF_THE_RIG)
     number = getattr(signal, name)
-    before = signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+    usual = {"SIGINT": signal.default_int_handler, "SIGQUIT": signal.SIG_DFL}  # the command line leaves these
+    before = signal.signal(number, usual.get(name, Interrupting()))
     try:
         code, _, err = run("run", "study.toml")
     finally:
         signal.signal(number, before)
     print(code, err)
-    assert code == 128 + number
+    assert code == 130
     assert "ultraquiet: stopped; finished stages and records are kept." in err
     assert "rig.py" not in err
     assert set((tmp_path / "sent.txt").read_text().splitlines()[-1].split()) == {"0.0"}

@@ -68,6 +68,23 @@ def test_what_analyse_says_is_what_the_rooms_below_say(run, loop):
     assert said["attenuation_db"] == pytest.approx(-20 * np.log10(worst), abs=0.02)
 
 
+def test_a_law_against_tones_says_what_it_does_at_each(run, rng):
+    G, _ = plant_and_law(rng, 1, 1)
+    uq.files.save(G, "plant.h5")
+    settings = ("--method", "resonators", "--set", "tones_hz=[25.0, 70.0]")
+    words = ("design", "plant.h5", *settings, "--out", "K.h5", "--force")
+    told = json.loads(run(*words, "--json")[1])
+    made = uq.design.Resonators(tones_hz=(25.0, 70.0)).design(G)
+    assert [each["f_hz"] for each in told["tones"]] == [25.0, 70.0]
+    for name in ("depth_db", "settling_s", "phase_margin_deg", "directions", "slowed"):
+        assert [each[name] for each in told["tones"]] == pytest.approx(list(made.details[name].values()))
+    page = run(*words)[1]
+    assert re.search(rf"25 Hz +{made.details['depth_db'][25.0]:.2f} dB", page)
+    quick = run(*words, "--set", "settling_s=1e-3", "--json")
+    assert quick[0] == 1
+    assert json.loads(quick[1])["status"]["word"] == "short"
+
+
 def test_a_real_pole_is_no_pair():
     assert slowest_sentence(SlowestMode(146.1, 0.0, -1.0)) == "slowest pole: real, grows by 146.1 e-folds a second"
     assert slowest_sentence(SlowestMode(-2.0, 5.0, 0.06)) == (

@@ -17,7 +17,7 @@ from ultraquiet.pipeline.facts.loops import StableLoop, ToneFacts, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import finite, from_plain, schema_of, to_plain
 from ultraquiet.pipeline.preflight import LoopPlan
-from ultraquiet.pipeline.report.loops import _noise_limits, _requirements, _unsettled
+from ultraquiet.pipeline.report.loops import _loop_rows, _noise_limits, _requirements, _unsettled
 from ultraquiet.pipeline.requirements import in_short, judge, margins_of, unheard_peaks, unheard_reductions
 from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import Requirements, StudyError, parse
@@ -327,7 +327,9 @@ def test_the_demo_meets_what_it_asks(demo):
 def test_a_tone_that_had_not_settled_is_said_and_not_laid_to_noise():
     slow = dataclasses.replace(tone(20.8), settled=False)
     said = dataclasses.replace(loop(), tones={"5": slow, "25": tone(40.0)})
-    result = SimpleNamespace(loops={"quiet": SimpleNamespace(facts=SimpleNamespace(units={"axis": said}))})
+    loops = {"quiet": SimpleNamespace(facts=SimpleNamespace(units={"axis": said}))}
+    result = SimpleNamespace(loops=loops, study=SimpleNamespace(paper=None))
+    assert _loop_rows(result)[0][2:4] == ("20.8, not settled", "40.0")
     words, limits = list(_unsettled(result)), _noise_limits(result)
     print(words, limits)
     assert words == ["quiet, axis: at 5 Hz the amplitude was still changing when the longest run ended."]

@@ -1,8 +1,11 @@
 """The errors a user meets. Each message is one sentence: who refuses, what it got, what it would take."""
 
+import math
 import signal
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
+from types import FrameType
 
 
 class UltraquietError(Exception):
@@ -123,6 +126,39 @@ def blames_no_law(error: UltraquietError) -> bool:
 # Signals by which a shell, a terminal or a system ends a program, besides Ctrl-C. SIGKILL and a power cut reach no
 # program: against them only a watch-dog in the hardware helps. Windows knows neither SIGHUP nor SIGQUIT.
 ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
+
+
+class Interrupting:
+    """A handler of signals that interrupts the program as Ctrl-C does; what comes again at once is the same wish.
+
+    A supervisor may send a signal to a process and to its group, which it is in; the second must not cut short what the
+    first began. After `AGAIN_S` it is a wish of its own, as Ctrl-C pressed again is.
+    """
+
+    AGAIN_S = 1.0
+
+    def __init__(self) -> None:
+        self._asked_s = -math.inf
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Take a signal.
+
+        Raises:
+            KeyboardInterrupt: it is the first, or comes later than at once.
+        """
+        del number, frame
+        before, self._asked_s = self._asked_s, time.monotonic()
+        if self._asked_s - before > self.AGAIN_S:
+            raise KeyboardInterrupt
+
+
+def interrupts(handler: object) -> bool:
+    """Return whether a handler of signals is Ctrl-C's own, or does the same.
+
+    >>> interrupts(signal.default_int_handler), interrupts(Interrupting()), interrupts(signal.SIG_DFL)
+    (True, True, False)
+    """
+    return handler is signal.default_int_handler or isinstance(handler, Interrupting)
 
 
 def signal_name(number: int) -> str:

@@ -100,6 +100,7 @@ def main() -> None:
         interrupted = isinstance(error, SystemExit) and error.code == ExitCode.INTERRUPTED  # typer's of Ctrl-C
         if interrupted or isinstance(error, SignalExit):  # neither says a word
             print(STOPPED, file=sys.stderr)
+            sys.exit(ExitCode.INTERRUPTED)  # by whichever signal a guarded bench was brought to rest
         raise
     except KeyboardInterrupt as stop:
         print(STOPPED, file=sys.stderr)

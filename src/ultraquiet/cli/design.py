@@ -28,7 +28,7 @@ def design(
 ) -> None:
     """Design a controller u = K y; a refusal says why and leaves nothing."""
     from ultraquiet import files
-    from ultraquiet.cli.loop.facts import band_sentence, margins_facts
+    from ultraquiet.cli.loop.facts import band_sentence, margins_facts, tones_facts, tones_grid
     from ultraquiet.cli.loop.loaded import loaded_plant
     from ultraquiet.cli.output.screen import screen
     from ultraquiet.design.robustness import described
@@ -55,6 +55,9 @@ def design(
         *described(system, result.margins),
         band_sentence(worst.attenuation_db, worst.f_hz, worst.band_hz),
     )
+    tones = tones_facts(result.details)
+    if tones:
+        show.table(tones_grid(tones))
     show.say(counted(law.states, "state"), f"controller: {target}")
     ends = {end: found for end, found in result.margins.items() if hasattr(found, "disk_all")}
     show.result(
@@ -67,6 +70,7 @@ def design(
             "band_hz": worst.band_hz,
             "attenuation_db": worst.attenuation_db,
             "attenuation_hz": worst.f_hz,
+            "tones": tones,
         }
     )
     finish(result.status)

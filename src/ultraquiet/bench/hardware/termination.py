@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from ultraquiet._base.errors import ENDINGS, SignalExit
+from ultraquiet._base.errors import ENDINGS, SignalExit, interrupts
 
 FATAL = 128  # the shell's exit code of a program that a signal ended is this much more
 
@@ -46,22 +46,22 @@ class Departure:
     def holding(self, guarded: bool = True) -> Generator[None]:
         """Take signals that would end the process on the spot for the length of a block whose runs are in threads.
 
-        Ctrl-C interrupts the block once: asked for again, the way down goes on. Handlers that somebody else has
-        installed stay in charge; outside the main thread nothing can be done. Where nobody knows whether a bench is
-        `guarded`, one of somebody's own around a guarded one, signals are taken while a guarded run is up.
+        Ctrl-C, and what does the same, interrupts the block once: asked for again, the way down goes on. Handlers that
+        somebody else has installed stay in charge; outside the main thread nothing can be done. Where nobody knows
+        whether a bench is `guarded`, one of somebody's own around a guarded one, signals are taken while a guarded run
+        is up.
         """
         mine = threading.current_thread() is threading.main_thread()
         leave, interrupt = (self._leave, self._interrupt) if guarded else (self._leave_if_up, self._interrupt_if_up)
-        taken: dict[signal.Signals, tuple[Any, Any]] = dict.fromkeys(ENDINGS, (signal.SIG_DFL, leave))
-        taken[signal.SIGINT] = (signal.default_int_handler, interrupt)
-        before = [each for each, (usual, _) in taken.items() if mine and signal.getsignal(each) is usual]
+        found = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS) if mine}
+        before = {n: handler for n, handler in found.items() if handler is signal.SIG_DFL or interrupts(handler)}
         try:
-            for number in before:
-                signal.signal(number, taken[number][1])
+            for number, handler in before.items():
+                signal.signal(number, interrupt if interrupts(handler) else leave)
             yield
         finally:
-            for number in before:
-                signal.signal(number, taken[number][0])
+            for number, handler in before.items():
+                signal.signal(number, handler)
             if before:
                 self._code = None  # whoever goes on after this is free to run again
 
@@ -128,7 +128,7 @@ class Termination:
                 handler = _standing(number, signal.getsignal(number))
                 whose = getattr(handler, "__self__", None)
                 ours = DEPARTURE.handles(handler) or isinstance(whose, Termination) or hasattr(whose, "only_notes")
-                if ours or handler in (signal.SIG_DFL, signal.default_int_handler):
+                if ours or handler is signal.SIG_DFL or interrupts(handler):
                     self._before[number] = handler  # before it is replaced: it may be asked for at once
                     signal.signal(number, self._take)
 

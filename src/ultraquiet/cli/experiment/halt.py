@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import ClassVar
 
-from ultraquiet._base.errors import ENDINGS
+from ultraquiet._base.errors import ENDINGS, interrupts
 
 # These two are meant for this program by whoever sends them, even where a shell has it start with Ctrl-C ignored.
 _MEANT = (signal.SIGINT, signal.SIGTERM)
@@ -53,6 +53,6 @@ def halting(ends_program: bool = False) -> Iterator[Halt]:
         yield halt
     finally:
         for number, handler in before.items():
-            sudden = handler in (signal.SIG_DFL, signal.default_int_handler)
+            sudden = handler is signal.SIG_DFL or interrupts(handler)
             ending = ends_program and halt.requested()
             signal.signal(number, signal.SIG_IGN if sudden and ending else handler)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ultraquiet.values import StateSpace
 
 HEADS = ("end", "channel", "unit", "gain up", "gain down", "phase", "delay", "disk")
+TONE_FACTS = ("depth_db", "settling_s", "phase_margin_deg", "directions", "slowed")
 DIGIT_HZ = 6  # of a frequency, below which it is 0 Hz for a reader
 
 
@@ -113,3 +114,19 @@ def seconds(value: float) -> str:
     if not np.isfinite(value):
         return "any"
     return f"{value:.4g} s" if value >= 1 else f"{1e3 * value:.4g} ms"
+
+
+def tones_facts(details: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what a law against tones does at each of them; nothing of a design that says nothing of tones."""
+    names = [name for name in TONE_FACTS if name in details]
+    tones = details["settling_s"] if "settling_s" in names else {}
+    return [{"f_hz": tone, **{name: details[name][tone] for name in names}} for tone in tones]
+
+
+def tones_grid(tones: list[dict[str, Any]]) -> TextTable:
+    """Return the same as a table."""
+    grid = TextTable(("tone", "depth", "settles", "phase"), "the tones, on the design model")
+    for each in tones:
+        at = (decibels(each["depth_db"]), seconds(each["settling_s"]), degrees(each["phase_margin_deg"]))
+        grid.add(f"{each['f_hz']:g} Hz", *at)
+    return grid

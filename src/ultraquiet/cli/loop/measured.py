@@ -102,6 +102,7 @@ class LoopMeasured:
             facts["tones"] = [
                 {
                     "f_hz": f,
+                    "settled": t.settled[k],
                     "sensors": _by_name(place, reduction_db=t.reduction_db[k], open=t.open_v[k], closed=t.closed_v[k]),
                 }
                 for k, f in enumerate(t.tones_hz)

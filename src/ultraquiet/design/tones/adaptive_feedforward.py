@@ -20,6 +20,7 @@ from ultraquiet.design.tones.bank import (
     facts,
     quiet_bank,
     resonators,
+    timed,
     too_loud,
 )
 from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse, settlings
@@ -27,6 +28,7 @@ from ultraquiet.design.verification import judged
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
+USUAL_S = 0.3  # of a tone, to settle
 STATIONS = 5  # frequencies of the span at which the linear law must be stable
 MARGIN_BINS = 5  # bins outside the span, which only tell how loud it is without a tone
 MOST_BINS = 56  # inside
@@ -51,7 +53,8 @@ class AdaptiveFeedforward(StatedRobustness):
     Args:
         tones_hz: nominal frequencies, Hz; at least one.
         span: how far each may be from its nominal frequency, as a share of that.
-        settling_s: time of the amplitudes to within two per cent, one number or one a tone.
+        settling_s: time of the amplitudes to within two per cent, one number or one a tone; a law that is slower at its
+            nominal tones is `short`. When absent three tenths of a second are tried, and what came of it is said.
         track_hz: bandwidth of the loop that follows the frequency, Hz. As given it follows a drift in much noise; of
             a loud tone that jumps a twentieth to a fifth of its frequency meets it sooner.
         find_s: how long the bank listens.
@@ -69,7 +72,7 @@ class AdaptiveFeedforward(StatedRobustness):
 
     tones_hz: tuple[float, ...] = ()
     span: float = 0.1
-    settling_s: float | tuple[float, ...] = 0.3
+    settling_s: float | tuple[float, ...] | None = None
     track_hz: float = 1.0
     find_s: float = 0.5
     limit: float | tuple[float, ...] | None = None
@@ -83,7 +86,7 @@ class AdaptiveFeedforward(StatedRobustness):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        settlings("AdaptiveFeedforward", self.settling_s, len(np.atleast_1d(self.tones_hz)))
+        settlings("AdaptiveFeedforward", self.settling_s, USUAL_S, len(np.atleast_1d(self.tones_hz)))
         for name in ("track_hz", "find_s", "depth_db", "peak_db"):
             positive("AdaptiveFeedforward", name, getattr(self, name))
         if self.loop_peak_db is not None:
@@ -113,7 +116,7 @@ class AdaptiveFeedforward(StatedRobustness):
         refusal = too_loud(who, inner, most)
         if refusal:
             return refused(refusal)
-        times, shape = settlings(who, self.settling_s, tones.size), BankShape(self.depth_db)
+        times, shape = settlings(who, self.settling_s, USUAL_S, tones.size), BankShape(self.depth_db)
         slowed = self._slowed(inner, tones, times, most)
         if slowed is None:
             return refused(f"{who}: no bank keeps below {most} of amplification over the whole span.")
@@ -130,7 +133,7 @@ class AdaptiveFeedforward(StatedRobustness):
         if result.status.word not in STABLE_WORDS or result.controller is None:
             return result
         law = FeedforwardLaw(self, inner, result.controller, tones, edges, speeds, limit)
-        return adapting(result, law)
+        return adapting(timed(result, times, self.settling_s is not None, most), law)
 
     def _edges(self, tones_hz: FloatArray, rate_hz: float) -> FloatArray:
         edges = np.stack([tones_hz * (1 - self.span), tones_hz * (1 + self.span)], axis=1)

@@ -1,6 +1,6 @@
 """A bank of resonators: how it is built, how slow it must be to stay quiet, and what it does at each tone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -8,13 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.shown.line import counted
 from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.tones.inner_loop import Inner, Inverse
 from ultraquiet.values.interconnect import feedback, gain, parallel, sensitivity
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 SETTLED = 4.0  # time constants until an exponential is within two per cent
 SLOWER = 2**0.5  # steps in which a tone's resonator is made slower
+MISSED = SLOWER**0.5  # of the time asked for: beyond half a step, where a tone is nearer to one slowed than to its time
 SLOWEST = 1e6  # periods in which a tone settles before a design is given up: of 15 Hz most of a day
 
 
@@ -227,6 +231,38 @@ def facts(
         rows["phase_margin_deg"][tone] = 90.0 - float(np.degrees(np.abs(turned).max()))
         rows["directions"][tone] = g.S.size
     return rows
+
+
+def timed(result: DesignResult, times: FloatArray, asked: bool, most: Amplification) -> DesignResult:
+    """Return a result that says how long its slowest tone takes to settle, `short` where one misses the time asked for.
+
+    Args:
+        result: with `settling_s` and `slowed` among its `details`.
+        times: what each tone was given to settle, s, `(nt,)`, in the order of the details.
+        asked: whether somebody asked for them: the usual ones are a wish, and a wish cannot be missed.
+        most: what tones are slowed for.
+    """
+    word, sentence = result.status.word, result.status.sentence
+    if word not in STABLE_WORDS:
+        return result
+    settled: dict[float, float] = result.details["settling_s"]
+    given = dict(zip(settled, times.tolist(), strict=True))
+    missed = [tone for tone in settled if settled[tone] > MISSED * given[tone]]
+    slowest = max(settled, key=lambda tone: settled[tone])
+    which = "tone" if len(settled) == 1 else "slowest tone"
+    takes = f"The {which}, {slowest:.10g} Hz, settles in {settled[slowest]:.3g} s"
+    if not missed:
+        return replace(result, status=Status(word, f"{sentence} {takes}."))
+    worst = max(missed, key=lambda tone: settled[tone] / given[tone])
+    why = f": it was slowed to keep below {most} of amplification" if result.details["slowed"][worst] > 1 else ""
+    if not asked:  # all tones were given one time, so the slowest is the one that misses it most
+        return replace(result, status=Status(word, f"{sentence} {takes}, {given[worst]:.3g} s is usual{why}."))
+    said = f"The tone at {worst:.10g} Hz settles in {settled[worst]:.3g} s, {given[worst]:.3g} s was asked{why}."
+    if len(missed) > 1:
+        said += f" {counted(len(missed) - 1, 'more tone misses its time', 'more tones miss theirs')}."
+    last = "" if worst == slowest else f" {takes}."
+    short = StatusWord.SHORT if result.status.ok else word
+    return replace(result, status=Status(short, f"{said} {sentence}{last}"))
 
 
 def _without(bank: StateSpace, mine: slice) -> StateSpace:

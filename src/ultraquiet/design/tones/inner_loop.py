@@ -74,9 +74,13 @@ def _made(who: str, plant: StateSpace, around: StateSpace | str) -> StateSpace:
     return result.controller
 
 
-def settlings(who: str, settling_s: float | tuple[float, ...], tones: int) -> FloatArray:
-    """Return the time that each tone is given to settle, seconds, `(tones,)`; one number is that of all."""
-    times = numbers(who, "settling_s", settling_s)
+def settlings(who: str, settling_s: float | tuple[float, ...] | None, usual_s: float, tones: int) -> FloatArray:
+    """Return the time that each tone is given to settle, s, `(tones,)`; one number is that of all, the usual if None.
+
+    Raises:
+        InputError: a time that is not above zero, or another number of them than one or one a tone.
+    """
+    times = numbers(who, "settling_s", usual_s if settling_s is None else settling_s)
     if not times.min(initial=np.inf) > 0:
         raise InputError(f"{who}: 'settling_s' must be above zero, got {times.min():g}.")
     if times.size not in (1, tones):

@@ -10,11 +10,13 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.bank import Amplification, BankShape, facts, quiet_bank, still_loud, too_loud
+from ultraquiet.design.tones.bank import Amplification, BankShape, facts, quiet_bank, still_loud, timed, too_loud
 from ultraquiet.design.tones.inner_loop import Around, Inverse, checked_tones, inner_loop, inverse, settlings
 from ultraquiet.design.verification import judged
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
+
+USUAL_S = 0.5  # of a tone, to settle
 
 
 @register("design", "resonators")
@@ -28,7 +30,8 @@ class Resonators(StatedRobustness):
 
     Args:
         tones_hz: the tones, Hz; a law against tones must be told at least one.
-        settling_s: time to within two per cent, one number or one a tone.
+        settling_s: time to within two per cent, one number or one a tone; a law that is slower is `short`. When absent
+            half a second is tried, and what came of it is said.
         depth_db: how deep the notch in S is, which keeps the resonators stable by themselves: rho = 1 - a / depth.
         peak_db: how far the bank may amplify elsewhere what the loop without it leaves, dB; it is made slower until it
             does not.
@@ -50,7 +53,7 @@ class Resonators(StatedRobustness):
     """
 
     tones_hz: tuple[float, ...] = ()
-    settling_s: float | tuple[float, ...] = 0.5
+    settling_s: float | tuple[float, ...] | None = None
     depth_db: float = 60.0
     peak_db: float = 3.0
     weakest: float = 0.01
@@ -60,7 +63,7 @@ class Resonators(StatedRobustness):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        settlings("Resonators", self.settling_s, len(np.atleast_1d(self.tones_hz)))
+        settlings("Resonators", self.settling_s, USUAL_S, len(np.atleast_1d(self.tones_hz)))
         for name in ("depth_db", "peak_db"):
             positive("Resonators", name, getattr(self, name))
         for name in ("loop_peak_db", "roll_off"):
@@ -103,7 +106,7 @@ class Resonators(StatedRobustness):
         refusal = too_loud("Resonators", inner, most)
         if refusal:
             return refused(refusal)
-        times = settlings("Resonators", self.settling_s, tones.size)
+        times = settlings("Resonators", self.settling_s, USUAL_S, tones.size)
         shape = BankShape(self.depth_db, self.roll_off)
         bank, slowed, at_hz = quiet_bank(inner, tones, inverses, times, shape, most)
         if bank is None:
@@ -113,7 +116,8 @@ class Resonators(StatedRobustness):
             "slowed": dict(zip(tones.tolist(), slowed.tolist(), strict=True)),
             "least_real": least,
         }
-        return judged(plant, inner.joined(bank), self, float("nan"), float("nan"), {}, details)
+        result = judged(plant, inner.joined(bank), self, float("nan"), float("nan"), {}, details)
+        return timed(result, times, self.settling_s is not None, most)
 
 
 def _least_real(

@@ -20,6 +20,7 @@ from ultraquiet.report import Picture, Section, Table, Verdict
 IDLE = 1e-3
 # A response is drawn at the tone that the law attenuates most, if it attenuates at all.
 DRAWN_ABOVE_DB = 1.0
+UNSETTLED = ", not settled"  # beside a reduction that is not yet what it comes to
 
 
 def design(result: StudyResult) -> Section:
@@ -237,7 +238,11 @@ def _loop_rows(result: StudyResult) -> list[tuple[object, ...]]:
         if isinstance(loop, UnstableLoop):
             rows.append((name, unit, loop.word, *[""] * (2 + columns * len(result.plan.tones_hz))))
             continue
-        tones = [_number(db, 1) for tone in loop.tones.values() for db in (tone.reduction_db, tone.paper_db)[:columns]]
+        tones = [
+            f"{_number(db, 1)}{'' if tone.settled else UNSETTLED}"
+            for tone in loop.tones.values()
+            for db in (tone.reduction_db, tone.paper_db)[:columns]
+        ]
         rest = (loop.broadband_db, loop.worst_direction_band_db, loop.peak_amplification_db)
         rows.append((name, unit, *tones, *("-" if db is None else _number(db, 1) for db in rest)))
     return [*(_idle_rows(result) if _counts_plant(result) else []), *rows]
