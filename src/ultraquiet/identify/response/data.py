@@ -104,7 +104,12 @@ def from_record(record: Record, floor: float) -> Data:
     U, Y = np.fft.rfft(record.inputs, axis=1)[:, lines], np.fft.rfft(record.outputs, axis=1)[:, lines]
     end = np.sqrt(np.mean(np.abs(U) ** 2)) * np.exp(2j * np.pi * f[np.newaxis] / record.rate_hz)
     samples = _samples(f, record.rate_hz, np.concatenate([U, end])[np.newaxis], Y, power + (floor * np.abs(Y)) ** 2)
-    weight = 1.0 / np.sqrt(_not_faint(variance))
+    # What rounding hides is the noise of an output. The gains' own largest variance is that of a line at which no input
+    # moves: measured by that, all other lines would weigh alike, and no mode would stand above their noise.
+    raised = (_not_faint(power) - power)[:, np.newaxis]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = np.where(raised > 0, variance + raised / np.abs(U[np.newaxis]) ** 2, variance)
+    weight = 1.0 / np.sqrt(variance)
     return Data(samples, local.response.values, weight, record.actuators, record.sensors, (record.hash,))
 
 
