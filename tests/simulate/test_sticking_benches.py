@@ -43,7 +43,7 @@ def test_what_a_tone_just_above_its_dead_zone_drives_into_the_limits_of_a_stable
     check = uq.simulate.check_stability(loop.bench, loop.law)
     print(check.status)
     assert check.status.word == "ok"
-    assert what_tones_leave(loop, drawn_from) < loop.bench.dead
+    assert largest_left(loop, tones(loop, drawn_from)) < loop.bench.dead
 
 
 def test_a_burst_that_ends_early_is_silent_from_where_a_channel_uses_half_of_its_range():
@@ -82,7 +82,8 @@ def test_growth_that_is_slow_beside_the_dead_zone_is_seen_in_any_unit():
 
 # `ok` is promised from a third of the ranges: of these loops, thrown to half, 1 of 102 that stay at their limits had
 # it, and none of 75 that a third throws there. Of eight campaigns of forty that grow more quickly two had one, a mode
-# that one tone of a third reaches and that decays too quickly behind its dead zone to be given one of its own.
+# that one tone of a third reaches and that decays too quickly behind its dead zone to be given one of its own. Stable
+# loops are held to the promise itself: saturation holds some of them at their limits after a throw of half.
 TWO_SLOW = pytest.param(0.003, 2, marks=pytest.mark.draws(false_alarm=0.02))
 FORTY_SLOW = pytest.param(0.003, 40, marks=pytest.mark.draws(false_alarm=0.25))
 FORTY_QUICK = pytest.param(0.01, 40, marks=pytest.mark.draws(false_alarm=0.25))
@@ -97,7 +98,7 @@ def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart
         loop = drawn_loop(rng, 1 + apart, noise=10.0 ** rng.integers(-5, -1))
         limit = loop.bench.actuators[0].high
         loop.bench.dead = rng.choice([0.01, 0.03, 0.05, 0.1]) * limit
-        left = what_tones_leave(loop, rng)
+        left = largest_left(loop, tones(loop, rng), 1 / 2 if apart > 0 else 1 / 3)
         word = uq.simulate.check_stability(loop.bench, loop.law).status.word
         at_limits += left >= limit
         false_ok += left >= limit and word == "ok"
@@ -117,11 +118,6 @@ def comes_to_rest(loop, rng):
     return all(largest_left(loop, kind) < loop.bench.dead for kind in kinds)
 
 
-def what_tones_leave(loop, rng):
-    """Return the largest command at the end of a minute, after the loudest tones within half of the ranges."""
-    return largest_left(loop, tones(loop, rng))
-
-
 def tones(loop, rng):
     """Yield what throws every mode, of phases drawn as they are asked for."""
     for f_hz in (loop.f_hz, *loop.bench.modes_hz):
@@ -139,14 +135,14 @@ def nu_of(loop):
     return len(loop.bench.actuators)
 
 
-def largest_left(loop, throws):
-    """Return the largest command at the end of a minute, after the loudest of each kind within half of the ranges."""
-    allowed = np.array([c.high / 2 for c in (*loop.bench.sensors, *loop.bench.actuators)])
+def largest_left(loop, throws, share=1 / 2):
+    """Return the largest command at the end of a minute, after the loudest of each within a share of the ranges."""
+    allowed = np.array([share * c.high for c in (*loop.bench.sensors, *loop.bench.actuators)])
     left = 0.0
     for thrown in throws:
         d = np.zeros((len(thrown), 60_000))
         lasts = thrown.shape[1]
-        d[:, :lasts] = loop.bench.actuators[0].high / 2 * thrown
+        d[:, :lasts] = share * loop.bench.actuators[0].high * thrown
         for _ in range(LOWERED):
             run = disturb(loop.bench, d, loop.law)
             if (np.abs(np.vstack([run.outputs, run.inputs])[:, :lasts]).max(axis=1) <= allowed).all():
