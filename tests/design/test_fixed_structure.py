@@ -386,6 +386,7 @@ def test_a_seed_is_a_whole_number_from_zero(method):
         synthesize_structured(NOTHING_FELT["nothing at all"], 1, 1, seed=-1)
 
 
+@pytest.mark.gate("None-0.3")
 @pytest.mark.parametrize(("rate_hz", "pole"), [(None, 0.3), (20.0, 1.01)])
 def test_more_states_than_the_plant_has_reach_what_as_many_do(rng, rate_hz, pole):
     """A law of more states is one of fewer with some idle."""

@@ -288,6 +288,7 @@ def test_periods_of_one_record_weigh_as_their_mean_response_does(rng, seed):
 
 
 @pytest.mark.draws(false_alarm=1.5e-2)  # of 180 such fits one was of order 6 and one not white
+@pytest.mark.gate("1.0-3", "1e-09-4")
 @pytest.mark.parametrize("periods", [3, 4, 8])
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
 def test_few_periods_give_no_line_a_mode_of_its_own(periods, unit, rng, seed):
