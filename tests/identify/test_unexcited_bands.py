@@ -53,7 +53,7 @@ def sizes(model, plant):
 
 
 @pytest.mark.slow
-@pytest.mark.draws(false_alarm=5e-2)  # 1.5 % of 700 such records, drawn 100 000 times, and one of 1021 with a sharp mode
+@pytest.mark.draws(false_alarm=5e-2)  # 1.5 % of sets of 700 such records; of 1021 one has a sharp mode there
 def test_a_model_of_too_many_states_is_no_further_off_than_none_where_nothing_was_asked(seed):
     """In the mean square over records, no worse than to say nothing; of a single record no method can promise it.
 
