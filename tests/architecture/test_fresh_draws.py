@@ -63,10 +63,19 @@ def test_draws_nothing():
     pass
 
 
+@pytest.mark.gate("a")
+@pytest.mark.parametrize("case", ["a", "b"])
+def test_cases(case):
+    pass
+
+
 @given(st.integers(0, 10**9))
 def test_examples(number):
     print("EXAMPLE", number)
 """
+
+
+CASES = ("test_cases[a]", "test_cases[b]")
 
 
 @pytest.fixture
@@ -74,7 +83,7 @@ def suite(tmp_path):
     """A small suite under the same conftest; returns a run of it and the results it left."""
     (tmp_path / "conftest.py").write_text((TESTS / "conftest.py").read_text())
     (tmp_path / "test_small.py").write_text(SUITE)
-    marks = "markers =\n    three_draws\n    slow\n    draws(false_alarm)"
+    marks = "markers =\n    three_draws\n    slow\n    gate\n    draws(false_alarm)"
     (tmp_path / "pytest.ini").write_text(f"[pytest]\naddopts = --strict-markers -p no:cacheprovider\n{marks}\n")
 
     def run(*words):
@@ -92,7 +101,7 @@ def test_the_gate_runs_the_same_cases_on_seeds_one_to_three(suite):
     again, said_again, _ = suite()
     drawn = {f"test_small.py::test_draws[seed{k}]": (0.0, k == 2) for k in (1, 2, 3)}
     rest = {"test_small.py::test_states[seed1]": (0.25, False)}
-    rest |= {f"test_small.py::{name}": (0.0, False) for name in ("test_draws_nothing", "test_examples")}
+    rest |= {f"test_small.py::{name}": (0.0, False) for name in ("test_draws_nothing", "test_examples", *CASES)}
     assert found == again == drawn | rest
     assert said == said_again
     assert len(said) > 50
@@ -108,3 +117,8 @@ def test_a_seed_that_is_given_is_drawn_from_and_repeats(suite):
     assert "python -m pytest 'test_small.py::test_draws[drawn]' --seed 8" in printed
     assert suite("--drawing", "--seed", "8")[1] == said
     assert suite("--drawing", "--seed", "9")[1] != said
+
+
+def test_a_case_that_the_gate_leaves_out_runs_where_it_is_named(suite):
+    found, _, _ = suite("test_small.py::test_cases[b]")
+    assert found == {"test_small.py::test_cases[b]": (0.0, False)}
