@@ -113,11 +113,9 @@ def on_bench(
     if np.ndim(tones_hz) != 1 or not tones_hz:
         raise InputError(f"on_bench: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
     fresh, same = _maker(bench)
-    tones = tuple(tone_below_nyquist("on_bench", "tones_hz", f, fresh().rate_hz) for f in tones_hz)
-    for f in tones:
-        between("on_bench", "tones_hz", f, 1.0 / (MEASURED_SHARE * duration_s), fresh().rate_hz / 2, "Hz")
-    rows = [_compared(fresh, law, code, f, amplitude_v, duration_s) for f in tones]
+    rows = [_compared(fresh, law, code, f, amplitude_v, duration_s) for f in tones_hz]
     law_db, code_db, noise_db, heard = (np.array(column) for column in zip(*rows, strict=True))
+    tones = tuple(float(f) for f in tones_hz)
     return OnBench(tones, law_db, code_db, same, _worst_noise(noise_db, law_db, code_db, heard), heard)
 
 
@@ -128,7 +126,9 @@ def _compared(
     ran = []
     for controller in (None, law, code):
         bench = fresh()
-        phase = 2 * np.pi * f_hz * np.arange(int(duration_s * bench.rate_hz)) / bench.rate_hz
+        f = tone_below_nyquist("on_bench", "tones_hz", f_hz, bench.rate_hz)
+        between("on_bench", "tones_hz", f, 1.0 / (MEASURED_SHARE * duration_s), bench.rate_hz / 2, "Hz")
+        phase = 2 * np.pi * f * np.arange(int(duration_s * bench.rate_hz)) / bench.rate_hz
         d = np.tile(amplitude_v * np.sin(phase), (len(bench.actuators), 1))
         if controller is code:
             code.reset()

@@ -79,8 +79,7 @@ def normalise(M: Matrices, ny: int, nu: int, in_parts: bool = False) -> Normalis
     """
     A, B, C, D = M
     p, m = D.shape[0] - ny, D.shape[1] - nu
-    z_side, u_side = _unit(D[:p, m:], "D12 (controls to performance outputs)", "columns")
-    w_side, y_side = _unit(D[p:, :m].T, "D21 (disturbances to measurements)", "rows")
+    (z_side, u_side), (w_side, y_side) = _sides(D, ny, nu)
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
     B, C = B @ inputs, outputs.T @ C
@@ -285,6 +284,16 @@ def equation(plant: NormalisedPlant, gamma: float, name: str) -> tuple[Array, Ar
     return side.A + side.B1 @ solved[:, :n], (G + G.T) / 2, (Q + Q.T) / 2
 
 
+def _sides(D: Array, ny: int, nu: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return what makes D12 and what makes D21' [0; I], as `_unit` does."""
+    p, m = D.shape[0] - ny, D.shape[1] - nu
+    D12, D21 = D[:p, m:], D[p:, :m]
+    return (
+        _unit(D12, "D12 (controls to performance outputs)", "columns"),
+        _unit(D21.T, "D21 (disturbances to measurements)", "rows"),
+    )
+
+
 def _unit(D: Array, block: str, what: str) -> tuple[Array, Array]:
     """Return orthogonal U and a scaling V such that U' D V = [0; I].
 
@@ -310,10 +319,8 @@ def speed(M: Matrices, ny: int, nu: int) -> float:
     Where D12 or D21 has too little rank for there to be one, that of the plant's poles.
     """
     A, B, C, D = M
-    p, m = D.shape[0] - ny, D.shape[1] - nu
     try:
-        z_side, u_side = _unit(D[:p, m:], "D12", "columns")
-        w_side, y_side = _unit(D[p:, :m].T, "D21", "rows")
+        (z_side, u_side), (w_side, y_side) = _sides(D, ny, nu)
     except NumericalError:
         return _mean_modulus(np.linalg.eigvals(A)) if A.size else 1.0
     return _h2_speed(A, B @ block_diag(w_side, u_side), block_diag(z_side, y_side).T @ C, ny, nu)
