@@ -21,12 +21,12 @@ import pytest  # noqa: E402
 from hypothesis.internal.conjecture import providers  # noqa: E402
 
 GATE_SEEDS = (1, 2, 3)
+FRESH_DRAWS = 5  # of `make test-fresh`, which share the cases of a long campaign
 # Where three draws cost little: all three of the gate's seeds; elsewhere the first, and `make test-fresh` for more.
 THREE_DRAWS = (
     "tests/architecture/",
     "tests/base/",
     "tests/identify/test_kernels_twins.py",
-    "tests/identify/test_refit.py",
     "tests/identify/test_slicot_ib01.py",
     "tests/linalg/",
     "tests/plot/",
@@ -175,6 +175,17 @@ def share(request):
         return [places[k] for k in np.sort(rng.choice(len(places), most, replace=False))]
 
     return drawn
+
+
+@pytest.fixture(scope="session")
+def cases(request):
+    """`cases(n)`: all n of a campaign that draws them alike, of a fresh seed a fifth unless `--whole` is asked for.
+
+    So the five draws of `make test-fresh` take n fresh cases together, and a stated rate is that of a fifth.
+    """
+    config = request.config
+    fresh = config.getoption("--seed") is not None and not config.getoption("--whole")
+    return lambda n: -(-n // FRESH_DRAWS) if fresh else n
 
 
 @pytest.fixture(scope="session")

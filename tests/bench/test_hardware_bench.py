@@ -405,7 +405,7 @@ def written_to(log):
     return np.array([0.0, *(float(line) for line in log.read_text().splitlines())])
 
 
-@pytest.mark.gate("0.2-15", "0.0-1")
+@pytest.mark.gate("0.0-1", "0.2-15")
 @pytest.mark.gate("0.2-15", "0.0-1", "0.2-2", "0.0-3")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGINT])
 @pytest.mark.parametrize("busy_s", [0.0, 0.2])  # caught inside the loop, or while its blocks are being stored

@@ -72,7 +72,7 @@ def test_threefold_and_mirror_symmetry(unit):
         assert off < 1e-10
 
 
-@pytest.mark.gate("ground")
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS)
 def test_the_struts_resonate_near_1_5_khz(unit):
     """Section 2.1 of the paper; the largest singular value stays below the 16 that the loop tests rely on."""

@@ -326,6 +326,7 @@ LONG = {
 }
 
 
+@pytest.mark.gate("identify")
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
 @pytest.mark.parametrize("name", LONG)
 def test_a_signal_ends_what_takes_long(folder, rng, name):
@@ -404,6 +405,7 @@ main()
 """
 
 
+@pytest.mark.gate("SIGTERM")
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
 def test_a_signal_ends_a_study_and_keeps_what_was_recorded(tmp_path, name):

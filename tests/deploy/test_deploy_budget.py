@@ -52,6 +52,7 @@ def test_refusal_names_the_largest_order_that_fits(law_of, tmp_path):
     assert not (tmp_path / "code").exists()
 
 
+@pytest.mark.gate("True-120")
 @pytest.mark.parametrize(("anti_windup", "largest"), [(False, 170), (True, 120)])
 def test_unreduced_laws_fit_up_to_the_largest_order_and_not_beyond(anti_windup, largest, law_of, tmp_path):
     settings = {"form": "modal", "anti_windup": anti_windup, "budget_share": 1.0}

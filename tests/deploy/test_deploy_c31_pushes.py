@@ -30,6 +30,7 @@ MEETING = [
 ]
 
 
+@pytest.mark.gate("two of each, far limits")
 @pytest.mark.parametrize("case", MEETING)
 def test_every_command_meets_both_limits_and_every_correction_is_seen(rng, case):
     law = LAWS[case](rng)
@@ -53,6 +54,7 @@ DRAWN = [
 ]
 
 
+@pytest.mark.gate("two of each, far limits")
 @pytest.mark.parametrize("case", DRAWN)
 def test_every_command_comes_back_most_of_them_by_one_count_beyond_its_limit_and_one_within(rng, case):
     """Some drawn laws hold a command beyond a limit by corrections that others feed it, or pass it whatever is read."""

@@ -258,6 +258,7 @@ class Asked:
         return self.code.step(y)
 
 
+@pytest.mark.gate("float32")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_bench_that_calls_the_code_itself_changes_no_bit(law_of, rng, tmp_path, precision):
     """On the bench's own channels and, with all instruments wired, on some of them; limits are met."""

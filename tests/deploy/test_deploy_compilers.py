@@ -154,6 +154,7 @@ SETTINGS = {
 }
 
 
+@pytest.mark.gate("float32")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_what_another_part_of_the_program_switches_on_is_seen_by_the_self_test(law_of, tmp_path, precision):
     """No source sees how its program was linked (`-ffast-math` flushes to zero) or which way its thread rounds."""

@@ -23,7 +23,7 @@ def target():
         pytest.skip(f"'{absent}' is not installed (Debian: gcc-arm-none-eabi, qemu-system-arm)")
 
 
-@pytest.mark.gate("modal-float32", "dense-float64")
+@pytest.mark.gate("modal-float32")
 @pytest.mark.usefixtures("target")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])

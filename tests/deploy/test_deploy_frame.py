@@ -238,6 +238,7 @@ def test_times_of_the_c31_model_are_its_cycles(law_of, tmp_path):
     assert times.skeleton_s == pytest.approx(142 * 50e-9, rel=1e-12)
 
 
+@pytest.mark.gate("cortex-m7")
 @pytest.mark.skipif(missing_program() is not None, reason=f"'{missing_program()}' is not installed")
 @pytest.mark.parametrize("target", ["cortex-m7", "cortex-m4f"])
 def test_times_of_a_cortex_are_counted(made, target):

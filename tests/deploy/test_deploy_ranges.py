@@ -53,7 +53,7 @@ def test_one_end_may_be_known_alone(tmp_path):
         generate(StateSpace([[0.5]], [[0.1]], [[1.0], [2.0]], np.zeros((2, 1)), 2e3, sensors=aside), tmp_path / "c")
 
 
-@pytest.mark.gate("True-float32", "False-float64")
+@pytest.mark.gate("False-float64")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("anti_windup", [False, True])

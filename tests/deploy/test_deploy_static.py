@@ -32,7 +32,7 @@ def test_checker_finds_no_rule_broken_but_the_accepted(law_of, tmp_path, form):
     assert all(f"* Rule {rule}: " in readme for rule in DEVIATIONS)
 
 
-@pytest.mark.gate("modal-float32", "dense-float64")
+@pytest.mark.gate("modal-float32")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])
 def test_compilers_warn_of_nothing(law_of, tmp_path, form, precision):

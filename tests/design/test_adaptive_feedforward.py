@@ -84,7 +84,7 @@ def test_the_command_fades_when_the_tone_ends(law, bench, rng):
     assert np.isnan(law.tones_hz).all()
 
 
-@pytest.mark.gate("ground")
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_three_tones_at_once(unit, seed, rng):
     bench = uq.bench.Hexapod(unit=unit, seed=seed)

@@ -26,7 +26,7 @@ def judged(name, plant, controller):
     return worst, peak
 
 
-@pytest.mark.gate("repeated")
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["full", "repeated"])
 def test_design_on_the_true_linear_bench(ground, structure):
     result = BandAttenuation(band_hz=(9.0, 108.0), height=12.0, structure=structure).design(ground)
@@ -60,6 +60,7 @@ def test_a_peak_out_of_reach_is_not_searched_for(monkeypatch):
     assert result.status.word == "short"
 
 
+@pytest.mark.gate("None-1-10000.0-full", "3500.0-1-1.0-repeated", "3500.0-3-1e-06-full")
 @pytest.mark.parametrize("structure", ["full", "repeated"])
 @pytest.mark.parametrize(("rate_hz", "channels", "gain"), [(3500.0, 1, 1.0), (3500.0, 3, 1e-6), (None, 1, 1e4)])
 def test_a_peak_that_is_not_met_is_not_called_ok(rate_hz, channels, gain, structure):

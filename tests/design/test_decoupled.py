@@ -32,7 +32,15 @@ def test_threefold_splits_the_hexapod(unit):
     assert twice < 1e-9
 
 
-@pytest.mark.gate("data")
+def test_the_hexapod_is_split_by_its_response_as_by_its_symmetry(ground):
+    """Two singular values that coincide leave axes open: rounding, which each BLAS does its own way, may not choose."""
+    result = Decoupled(method="lqg", band_hz=(10.0, 100.0)).design(ground)
+    print(f"blocks {result.details['blocks']}, residue {result.details['residue']:.1e}, {result.status}")
+    assert sorted(map(len, result.details["blocks"])) == [1, 1, 2, 2]
+    assert result.details["residue"] < 1e-6
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("transform", ["threefold", "data"])
 def test_decoupled_is_a_check_on_the_full_design(ground, transform):
     asked = {"band_hz": (9.0, 108.0), "height": 12.0, "order": 4}
@@ -108,6 +116,7 @@ def test_other_methods_and_bad_input(ground):
         Decoupled(band_hz=(10.0, 3000.0)).design(ground)
 
 
+@pytest.mark.gate("100.0-1.01-1.0")
 @pytest.mark.parametrize(("rate_hz", "pole", "unit"), [(100.0, 1.01, 1.0), (100.0, 1.0, 1e-6), (None, 1.0, 1e5)])
 def test_unstable_modes_of_other_channels_are_none_of_a_channel(rng, rate_hz, pole, unit):
     """Channels of one unstable or integrating mode each, mixed: every one gets the law that it gets alone."""

@@ -188,12 +188,13 @@ def test_a_default_asked_for_more_margin_takes_less_gain(seed):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
+@pytest.mark.draws(false_alarm=5e-3)  # of a fifth: 9 of 40 less quiet where 15 of 200 were of the loudest design
 @pytest.mark.parametrize("design", DESIGNS)
-def test_defaults_on_two_hundred_plants(seed, design):
+def test_defaults_on_two_hundred_plants(seed, design, cases):
     """Ok on nine of ten, 10 dB less RMS of S G in the band on eight of ten, never ok without standing its promise."""
-    rng = np.random.default_rng(seed)
+    rng, plants = np.random.default_rng(seed), cases(PLANTS)
     words, reductions, broken, quiet = [], [], [], 0
-    for k in range(PLANTS):
+    for k in range(plants):
         plant = ordinary(rng)
         result = design().design(plant)
         words.append(str(result.status.word))
@@ -209,13 +210,13 @@ def test_defaults_on_two_hundred_plants(seed, design):
             off += upset_within_the_disk(rng, plant, result.controller)
             broken += [f"plant {k}, {plant.D.shape}: {change}" for change in off]
     print(
-        f"{design.__name__}: {words.count('ok')} of {PLANTS} ok, {words.count('fragile')} fragile, "
+        f"{design.__name__}: {words.count('ok')} of {plants} ok, {words.count('fragile')} fragile, "
         f"{words.count('refused')} refused; {quiet} quieter by {QUIETER_DB:g} dB, median "
         f"{np.median(reductions):.1f} dB, least {np.min(reductions):.1f} dB; promises broken: {len(broken)}"
     )
     assert not broken, broken[:10]
-    assert words.count("ok") >= SHARE_OK * PLANTS
-    assert quiet >= SHARE_QUIETER * PLANTS
+    assert words.count("ok") >= SHARE_OK * plants
+    assert quiet >= SHARE_QUIETER * plants
 
 
 @pytest.mark.slow

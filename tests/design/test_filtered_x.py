@@ -104,6 +104,7 @@ def kept_of_a_tone(truth, f_hz, step, taps):
     return np.abs(np.linalg.eigvals(M)).max()
 
 
+@pytest.mark.gate("1.0")
 @pytest.mark.parametrize("step", [0.1, 1.0, 1.9])
 def test_steps_below_the_bound_converge_in_weak_directions_too(step, rng):
     """At the rate that follows from plant, tone and step; so long a run as that rate takes to a twentieth is made."""

@@ -70,6 +70,7 @@ def test_two_state_problem_reaches_its_optimum(seed):
     assert result.achieved == pytest.approx(np.sqrt(0.65), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_static_gain_of_the_helicopter_is_the_published_one(seed):
     """HE1, static: 0.154 in table I of Apkarian and Noll 2006, doi:10.1109/TAC.2005.860290."""
     result = synthesize_structured(helicopter(), 1, 2, states=0, starts=6, seed=seed)

@@ -71,6 +71,7 @@ def by_hand(P, K, ny, nu, f_hz=None):
     return np.linalg.eigvals(A), np.linalg.norm(F, 2, axis=(1, 2)).max()
 
 
+@pytest.mark.gate("True")
 @pytest.mark.parametrize("discrete", [False, True])
 def test_reported_is_achieved_and_the_second_opinion_agrees(rng, discrete):
     worst, apart, floors = 0.0, 0, 0

@@ -108,6 +108,7 @@ def test_no_controller_found_by_chance_does_better(rng):
         assert hinf_norm(lft(P, gain(rng.standard_normal((2, 2)))))[0] > floor * (1 - 1e-6)
 
 
+@pytest.mark.gate("S/KS")
 @pytest.mark.parametrize("form", ["S/KS", "four-block"])
 def test_units_and_coordinates_do_not_move_gamma(seed, form):
     """66 states and 18 of the weights: modal, against [q; q'] with inputs x 1e3 and outputs x 1e-6."""

@@ -112,6 +112,7 @@ def test_a_bound_exceeded_below_every_line_by_a_slow_pole_is_seen(found, slow_hz
     assert reached <= PEAK_DB + 0.05 or not result.status.ok
 
 
+@pytest.mark.slow
 def test_laws_of_their_own_for_all_channels_are_no_louder_than_one_for_all(rng):
     plant = uneven(rng, int(rng.integers(2, 5)))
     reached = {}
@@ -331,7 +332,7 @@ def test_settings_that_cannot_be_are_refused(settings, sentence):
         PeakBounded(**settings)
 
 
-@pytest.mark.gate("0.6")
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [0.2, 0.6])
 def test_a_plant_with_more_inputs_keeps_the_margin_that_is_asked_at_its_input(asked):
     """No bound on S at the output holds commands that turn into one another."""
@@ -360,6 +361,7 @@ def test_plants_that_do_not_go_together_are_refused():
         PeakBounded().design([])
 
 
+@pytest.mark.gate("2-3-1-100.0", "1-1-0-None")
 @pytest.mark.parametrize("rate_hz", [None, 100.0])
 @pytest.mark.parametrize(("ny", "nu", "n"), [(1, 1, 0), (2, 3, 1), (3, 2, 2)])
 def test_a_plant_that_does_nothing_gets_a_law_and_a_word(rate_hz, ny, nu, n):

@@ -97,6 +97,7 @@ def in_millimetres(plant):
     return StateSpace(plant.A, plant.B, plant.C, plant.D, plant.rate_hz, plant.actuators, sensors)
 
 
+@pytest.mark.gate("Lqg", "MixedSensitivity")
 @pytest.mark.parametrize("design", [Lqg, MixedSensitivity, BandAttenuation])
 def test_a_verdict_says_what_becomes_of_the_worst_direction_and_what_is_out_of_reach(seed, design):
     rng = np.random.default_rng(seed)

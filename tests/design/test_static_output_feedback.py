@@ -66,6 +66,7 @@ def test_twenty_public_problems():
     assert sum(near) >= OF_TWENTY
 
 
+@pytest.mark.gate("AC17")
 @pytest.mark.parametrize("name", ["NN2", "AC17"])
 def test_one_measurement_or_two(name):
     P, ny, nu = problem(name)

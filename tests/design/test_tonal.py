@@ -23,6 +23,7 @@ def ground():
     return uq.bench.Hexapod(unit="ground").linear_model()
 
 
+@pytest.mark.gate("flight")
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_three_tones_on_both_units(unit, seed, rng):
     bench = uq.bench.Hexapod(unit=unit, seed=seed)

@@ -66,6 +66,7 @@ def histogram(losses):
     return "nothing" if not words else ", ".join(words)
 
 
+@pytest.mark.gate("30")
 @pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.slow)])
 def test_killed_while_it_streams(count, kill, tmp_path, rng):
     """Twelve channels at 3.5 kHz in real time; the count of samples handed over is told before they are written."""

@@ -29,7 +29,6 @@ def simulated(rng, ny, nu):
     return plant, uq.Record(u, plant.simulate(u), 800.0)
 
 
-@pytest.mark.three_draws
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3)])
 def test_a_record_without_noise_is_explained_and_said_to_be(rng, method, shape):

@@ -20,6 +20,7 @@ def recorded(rng, direct, noise=0.05, ny=3, nu=2, rate_hz=800.0):
     return plant, uq.Record(u, y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), rate_hz)
 
 
+@pytest.mark.gate("0.0-shape0", "0.5-shape1", "0.05-shape2")
 @pytest.mark.parametrize("shape", [(1, 1), (3, 2), (2, 4)])
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.5])
 def test_a_direct_part_that_is_not_there_is_not_estimated(shape, noise, rng):
@@ -31,6 +32,7 @@ def test_a_direct_part_that_is_not_there_is_not_estimated(shape, noise, rng):
     assert np.any(forced.model.D)
 
 
+@pytest.mark.gate("0.0-4", "0.05-4")
 @pytest.mark.parametrize(("noise", "order"), [(0.0, 4), (0.05, 4), (0.05, None)])
 def test_one_that_is_there_is_found(noise, order, rng):
     plant, record = recorded(rng, 1.0, noise)

@@ -72,6 +72,7 @@ def test_other_channels_and_units(name, given):
 
 
 # A mode just above what its record tells is missing in 3 of 200 plants, and no test of the verdict hears it.
+@pytest.mark.gate("units1")
 @pytest.mark.draws(false_alarm=0.04)
 @pytest.mark.parametrize("units", [(1.0, 1.0), (1e6, 1e-9)])
 def test_a_predictor_finds_modes_longer_than_any_past(rng, units):

@@ -54,6 +54,7 @@ def test_noise_alone_has_no_mode(rng, colour):
     assert explained < 2 * 5 * np.log(4000)
 
 
+@pytest.mark.gate("1e-09")
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
 def test_a_mode_of_many_horizons_is_found(rng, size):
     plant = modal(rng, [6.0, 150.0, 400.0], 0.02, 3, 5, size)

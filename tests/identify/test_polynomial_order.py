@@ -41,6 +41,7 @@ def recorded(rng, ny, nu, samples=1200, noise=0.05):
     return uq.Record(u, y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), RATE_HZ)
 
 
+@pytest.mark.gate("3-5-arx", "1-1-box-jenkins")
 @pytest.mark.parametrize(("ny", "nu", "method"), [(1, 1, "box-jenkins"), (4, 3, "output-error"), (3, 5, "arx")])
 def test_command_line_python_and_study_come_to_one_order(run, tmp_path, rng, ny, nu, method):
     record = recorded(rng, ny, nu, 600)

@@ -172,6 +172,7 @@ BESIDE_AN_INTEGRATOR = pytest.param(
 )
 
 
+@pytest.mark.gate("3-4-predictor", "5-3-method0", "1-1-predictor")
 @pytest.mark.draws(false_alarm=2e-3)  # a verdict of two tests at the level of a thousandth
 @pytest.mark.parametrize("method", [uq.identify.Subspace(order=3, refine=True), BESIDE_AN_INTEGRATOR])
 @pytest.mark.parametrize(("nu", "ny"), [(1, 1), (3, 4), (5, 3)])

@@ -86,6 +86,7 @@ def test_a_slow_mode_that_is_missing_is_told(rng, ny, nu, scale, zeta):
     assert np.all(told > 0.5 * true) or fitted.status.word == "poor fit"
 
 
+@pytest.mark.gate("4-3-100000.0", "1-1-1.0")
 @pytest.mark.parametrize(("ny", "nu", "scale"), [(1, 1, 1.0), (4, 3, 1e5), (3, 5, 1e-6)])
 def test_a_noise_louder_than_the_output_is_no_missing_mode(rng, ny, nu, scale):
     """Also where it rings: at the plant's mode, beside it, and so slowly that it outlasts the record."""

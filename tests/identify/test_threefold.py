@@ -65,6 +65,7 @@ def test_six_functions_come_back_and_average(rng):
     assert np.allclose(spread, 0.005)
 
 
+@pytest.mark.gate("variance")
 @pytest.mark.draws(false_alarm=1.3e-3)  # binomial, 200 draws, three levels
 @pytest.mark.parametrize("kind", ["variance", "realisations"])
 def test_false_alarms_are_as_many_as_promised(kind, rng):

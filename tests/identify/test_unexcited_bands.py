@@ -145,6 +145,7 @@ def test_bands_are_those_of_all_inputs_and_lines_between_sines_are_none():
     assert topped_up(Scaled.of(white), []).u is not None
 
 
+@pytest.mark.gate("2-predictor-subspace", "4-subspace")
 @pytest.mark.parametrize("method", [uq.identify.Subspace(), uq.identify.PredictorSubspace()], ids=lambda m: m.name)
 @pytest.mark.parametrize("tones", [2, 4])
 def test_a_few_tones_are_met_by_many_models_and_none_of_them_is_ok(method, tones, rng):

@@ -146,6 +146,7 @@ def with_a_far_zero(plant, zero):
     return uq.StateSpace(A, B, C, plant.D, plant.rate_hz)
 
 
+@pytest.mark.gate("1-1-1.0")
 @pytest.mark.parametrize(("ny", "nu", "units"), [(1, 1, 1.0), (2, 3, 1e-6)])
 def test_a_far_zero_and_a_delay_that_stand_in_for_each_other_are_both_told(ny, nu, units, rng):
     """Between a zero far above the lines and its mirror image with some more delay the noise decides by chance."""
@@ -212,6 +213,7 @@ def test_lines_at_which_no_input_moves_hide_no_mode(rng, ny, nu):
     assert found.fit_percent.min() > 98.0
 
 
+@pytest.mark.slow
 def test_two_inertia_bench_by_its_periods():
     """Order by the data, judged on periods the fit has not seen; the response at the lines alone gives 89.8 / 90.6 %.
 
@@ -316,6 +318,7 @@ def test_a_model_that_misses_more_than_the_noise_is_not_ok(rng):
         assert method.identify(wrong).status.word in {"poor fit", "not white", "not converged"}
 
 
+@pytest.mark.slow
 def test_periods_that_are_not_said_are_fitted_all_the_same(rng, seed):
     """Between the lines of the periods no input moves, and nothing is known of the gain."""
     plant, record = ringing(rng, 0.01, multisine(20, seed))

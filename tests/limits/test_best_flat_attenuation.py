@@ -38,6 +38,7 @@ def test_heave_of_the_bench(heave, quiet_hz):
     assert limit.bound_db - limit.attenuation_db < apart
 
 
+@pytest.mark.slow
 def test_a_narrow_band_is_sought_by_its_width(heave, monkeypatch):
     found = best_flat_attenuation(heave, (100.0, 150.0), 6.0, control_gain=1000.0, basis=60, certify=False)
     monkeypatch.setattr(grid, "is_narrow", lambda band_hz: False)

@@ -32,6 +32,7 @@ def test_the_disc_holds_every_sensitivity_and_no_more(rng, peak, error):
         assert abs(end) + error * peak * abs(1 - end) == pytest.approx(peak, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.gate("stable")
 @pytest.mark.parametrize("growth", [1.0, 1.03], ids=["stable", "unstable"])
 def test_its_controller_keeps_the_demands_on_every_plant(rng, growth):
     plant, quiet, error = modal(rng, growth=growth), band(rng), 0.15
@@ -179,6 +180,7 @@ def test_a_bound_of_the_plant_itself_is_one_of_every_plant():
     assert tightened(none, plain) is none
 
 
+@pytest.mark.slow
 def test_alike_channels_have_the_robust_limit_of_one():
     one = best_flat_attenuation(LAG, (20.0, 100.0), 6.0, control_gain=10.0, basis=25, uncertainty=0.2)
     for found in by_direction(append(LAG, LAG), (20.0, 100.0), 6.0, control_gain=10.0, basis=25, uncertainty=0.2):

@@ -99,6 +99,7 @@ def test_whole_numbers_without_a_range_are_refused_by_name_and_leave_the_study_s
     assert "whole numbers need a range" in facts.status
 
 
+@pytest.mark.gate("units1-True")
 @pytest.mark.parametrize(
     ("units", "is_written"),
     [

@@ -205,6 +205,7 @@ def test_a_direction_that_is_louder_where_it_was_not_heard_is_said_to_be():
     assert "is none, louder by 2.0 dB by the design model, at 0.5 Hz, where the bench is not heard" in sentence
 
 
+@pytest.mark.gate("4-3-own1-required1", "1-1-own0-None")
 @pytest.mark.parametrize(
     ("ny", "nu", "own", "required"),
     [(1, 1, (8.0, 20.0), None), (4, 3, (20.0, 40.0), (8.0, 20.0)), (3, 5, (8.0, 20.0), (20.0, 40.0))],

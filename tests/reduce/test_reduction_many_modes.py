@@ -54,6 +54,7 @@ def test_states_leave_in_steps_where_a_projection_loses_the_loop(rng):
     assert in_steps >= at_once
 
 
+@pytest.mark.gate("True")
 @pytest.mark.parametrize("bare", [False, True])
 def test_too_few_states_say_how_many_are_enough(rng, bare):
     plant, law = designed(rng, 12, 3)

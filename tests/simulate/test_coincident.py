@@ -51,7 +51,7 @@ def test_of_a_faint_mode_at_rest_all_channels_count(real):
     assert mode.growth_std == pytest.approx(0.1 * farthest_of(3 if real else 1, real) / CERTAIN)
 
 
-@pytest.mark.gate("1208", "1130")
+@pytest.mark.gate("1208")
 @pytest.mark.parametrize("draw", [1039, 1072, 1130, 1198, 1208, 1246])
 def test_walks_of_several_channels_are_no_growth(draw):
     """Six of 250 draws, each of three or four channels, that were called unstable by 4.0 to 4.5 deviations."""

@@ -300,6 +300,7 @@ def slow_loop(ny, nu, unit):
     return plant, law
 
 
+@pytest.mark.gate("4-3-N", "1-1-V")
 @pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, "V"), (4, 3, "N"), (3, 5, "mm")])
 def test_a_band_is_measured_from_where_it_begins(ny, nu, unit):
     """Runs of 2 s begin at 32 Hz, where this law is quieter than below; those for 4 Hz are longer."""

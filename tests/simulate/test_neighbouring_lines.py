@@ -149,7 +149,7 @@ def test_lines_without_noise_and_at_the_ends_are_themselves(rng):
     assert heard(given, np.zeros(0, dtype=int))[0].shape == (3, 3, 0)
 
 
-@pytest.mark.gate("1-1-1e-06", "4-3-1.0", "3-5-1e-06")
+@pytest.mark.gate("4-3-1.0", "1-1-1e-06")
 @pytest.mark.parametrize("unit", [1.0, 1e-6])
 @pytest.mark.parametrize(("sensors", "actuators"), SHAPES)
 def test_the_peak_of_a_loop_is_not_what_noise_makes_of_many_lines(sensors, actuators, unit, rng):

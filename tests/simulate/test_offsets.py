@@ -40,6 +40,7 @@ def test_an_offset_that_drives_a_command_to_its_limit_is_named():
     assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
 
 
+@pytest.mark.slow
 def test_what_an_offset_heaps_up_is_no_growth():
     """A law that follows an offset slowly: commands grow from next to nothing, in a loop that decays all the time."""
     lagging = StateSpace([[0.9995]], [[1.0]], [[-0.0003]], [[0.0]], RATE_HZ)

@@ -11,7 +11,7 @@ def law(pole, gain):
     return StateSpace([[pole]], [[1.0]], [[gain]], [[-0.5 if gain < 0 else 0.0]], RATE_HZ)
 
 
-@pytest.mark.gate("0.1--0.01")
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "gain"), [(1e-1, -1e-2), (1e-2, -1e-3)])
 def test_an_offset_that_a_law_integrates_and_the_plant_blocks_ramps(offset, gain):
     check = uq.simulate.check_stability(one_mode("rate", "mm/s", offset=offset, blocks_rest=True), law(1.0, gain), 8.0)
@@ -36,6 +36,7 @@ def test_an_integrator_that_the_loop_feels_is_ok():
     assert check.status.word == "ok"
 
 
+@pytest.mark.slow
 def test_an_integrator_whose_command_stands_still_is_ok():
     idle = StateSpace([[1.0]], [[1.0]], [[0.0]], [[0.0]], RATE_HZ)
     check = uq.simulate.check_stability(one_mode("rate", "mm/s", offset=1e-1, blocks_rest=True), idle, 8.0)

@@ -12,7 +12,7 @@ from ultraquiet.simulate.free_response import CERTAIN
 from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE
 
 LAW = Path(__file__).parents[1] / "data" / "slow_growth_law.npz"
-LOOPS = 200
+LOOPS, HUMMING = 200, 40
 
 
 @pytest.fixture(scope="module")
@@ -149,10 +149,10 @@ def test_a_slow_pair_at_the_very_frequency_of_a_hum_is_not_left_out_with_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hum", [(0.05, 50.0, 0.0), (0.0, 0.0, 0.2), (0.05, None, 0.2)])
-def test_loops_that_hum_are_never_judged_wrongly(rng, hum):
+def test_loops_that_hum_are_never_judged_wrongly(rng, hum, cases):
     """40 loops with mains, offsets, and a hum at the slowest mode, as those above."""
-    false = unknown = 0
-    for _ in range(LOOPS // 5):
+    false, unknown, loops = 0, 0, cases(HUMMING)
+    for _ in range(loops):
         apart = 10 ** rng.uniform(-6, -3) * rng.choice([-1, 1])
         loop = drawn_loop(rng, 1 + apart, rng.choice([0.0, 0.003, 0.03]), rng.random() < 0.7, 1.0)
         loop.bench.hum = (hum[0], loop.f_hz if hum[1] is None else hum[1], hum[2])
@@ -162,7 +162,7 @@ def test_loops_that_hum_are_never_judged_wrongly(rng, hum):
         unknown += word == "not known"
         if word == "not known" or (word == "unstable") != (apart > 0):
             print(f"1 {apart:+.1e}, {loop.f_hz:.3g} Hz at {RATE_HZ:g} Hz: {check.status}")
-    print(f"{LOOPS // 5} loops, hum {hum}: {false} false, {unknown} not known")
+    print(f"{loops} loops, hum {hum}: {false} false, {unknown} not known")
     assert false == 0
 
 
@@ -175,7 +175,7 @@ def test_refusals(slow_growth_law):
 
 
 @pytest.mark.slow
-def test_drawn_loops_are_never_judged_wrongly(rng):
+def test_drawn_loops_are_never_judged_wrongly(rng, cases):
     """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records.
 
     Or where noise alone holds a loop at its limits for more than the hundredth of the time up to which it is taken for
@@ -183,7 +183,8 @@ def test_drawn_loops_are_never_judged_wrongly(rng):
     printed.
     """
     false_ok = false_unstable = unknown = wrongly_unknown = 0
-    for _ in range(LOOPS):
+    loops = cases(LOOPS)
+    for _ in range(loops):
         apart = 10 ** rng.uniform(-6, -3) * rng.choice([-1, 1])
         loop = drawn_loop(
             rng, 1 + apart, rng.choice([0.0, 0.003, 0.03]), rng.random() < 0.7, rng.choice([1.0, 1e-9, 1e9])
@@ -200,7 +201,7 @@ def test_drawn_loops_are_never_judged_wrongly(rng):
                 f"1 {apart:+.1e}, {loop.f_hz:.3g} Hz at {RATE_HZ:g} Hz, {records:.3g} records an e-fold, "
                 f"{loop.clipped:.2g} of the time at its limits: {check.status}"
             )
-    print(f"{LOOPS} loops: {false_ok} false ok, {false_unstable} false unstable, {unknown} not known")
+    print(f"{loops} loops: {false_ok} false ok, {false_unstable} false unstable, {unknown} not known")
     assert false_ok == false_unstable == wrongly_unknown == 0
 
 

@@ -25,7 +25,7 @@ def stays_at_its_limits(dead_n, gain):
     return bool((np.abs(late) >= RANGE_N).any())
 
 
-@pytest.mark.gate("-2.5-0.1", "0.5-1.0")
+@pytest.mark.gate("0.5-1.0")
 @pytest.mark.parametrize("dead_n", [0.0, 0.01, 0.1, 1.0, 3.0])
 @pytest.mark.parametrize("gain", [-2.5, -1.9, 0.5])
 def test_what_a_loud_burst_throws_into_its_limits_is_not_called_settled(dead_n, gain):
@@ -60,6 +60,7 @@ def test_a_burst_that_ends_early_is_silent_from_where_a_channel_uses_half_of_its
     assert ended_early(early, kicked(bench, law, early).runs) == early
 
 
+@pytest.mark.slow
 def test_what_grows_to_its_limits_after_every_burst_is_not_blamed_on_what_sticks():
     """It does so from bursts within half of its ranges, and from less: there is nothing to end early."""
     bench, law = one_mode(limit_n=RANGE_N), difference(-2.5)
@@ -83,15 +84,17 @@ def test_growth_that_is_slow_beside_the_dead_zone_is_seen_in_any_unit():
 # `ok` is promised from a third of the ranges: of these loops, thrown to half, 1 of 102 that stay at their limits had
 # it, and none of 75 that a third throws there. Of eight campaigns of forty that grow more quickly two had one, a mode
 # that one tone of a third reaches and that decays too quickly behind its dead zone to be given one of its own. Stable
-# loops are held to the promise itself: saturation holds some of them at their limits after a throw of half.
+# loops are held to the promise itself: saturation holds some of them at their limits after a throw of half. A rate is
+# that of one fresh draw, of a fifth of the loops.
 TWO_SLOW = pytest.param(0.003, 2, marks=pytest.mark.draws(false_alarm=0.02))
-FORTY_SLOW = pytest.param(0.003, 40, marks=pytest.mark.draws(false_alarm=0.25))
-FORTY_QUICK = pytest.param(0.01, 40, marks=pytest.mark.draws(false_alarm=0.25))
+FORTY_SLOW = pytest.param(0.003, 40, marks=pytest.mark.draws(false_alarm=0.06))
+FORTY_QUICK = pytest.param(0.01, 40, marks=pytest.mark.draws(false_alarm=0.06))
 
 
-@pytest.mark.gate("0.003-2", "-0.003-2")
+@pytest.mark.gate("-0.003-2")
 @pytest.mark.parametrize(("apart", "loops"), [TWO_SLOW, (-0.003, 2), FORTY_QUICK, FORTY_SLOW, (-0.003, 40)])
-def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart, loops, rng):
+def test_drawn_loops_behind_dead_zones_are_judged_by_what_loud_tones_leave(apart, loops, rng, cases):
+    loops = max(2, cases(loops))
     false_ok = false_unstable = at_limits = unknown = drawn = 0
     while drawn < loops or (at_limits == 0 and apart > 0):  # of two loops there may be none that is thrown so far
         drawn += 1

@@ -80,6 +80,7 @@ def turned_in_time(sweep, ways, k):
     return d
 
 
+@pytest.mark.slow
 def test_a_sweep_moves_one_direction_alone_however_long_the_plant_rings(rng):
     sweep, grid = SweepClock(6400, RATE_HZ, 20.0, 700.0, 4), np.geomspace(20.0, 700.0, 92)
     inside = (sweep.lines_hz > 1.02 * 20.0) & (sweep.lines_hz < 100.0)

@@ -108,6 +108,7 @@ def test_an_offset_or_a_converter_hides_nothing_that_noise_does_not(offset, step
     assert found[offset].peak_amplification_db() == pytest.approx(found[0.0].peak_amplification_db(), abs=NOISY_DB)
 
 
+@pytest.mark.slow
 def test_what_is_not_heard_is_told():
     plant = Stranger(modes((8, 0.999)), [0.01, 0.05], TIP, noise=1e-3)
     found = uq.simulate.measure_sensitivity(plant.bench(), law(-0.4))

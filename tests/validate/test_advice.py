@@ -132,6 +132,7 @@ def silence(rng, draws):
     return quiet
 
 
+@pytest.mark.slow
 def test_good_records_hear_nothing(rng):
     assert silence(rng, 15) >= 0.8
 
