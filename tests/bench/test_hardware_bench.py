@@ -406,7 +406,6 @@ def written_to(log):
 
 
 @pytest.mark.gate("0.0-1", "0.2-15")
-@pytest.mark.gate("0.2-15", "0.0-1", "0.2-2", "0.0-3")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGINT])
 @pytest.mark.parametrize("busy_s", [0.0, 0.2])  # caught inside the loop, or while its blocks are being stored
 def test_a_program_that_is_ended_from_outside_comes_down_softly(number, busy_s, tmp_path, rng):

@@ -54,6 +54,7 @@ def test_the_state_space_agrees_with_the_frequency_domain(unit, spread, seed):
     assert phase < 1.0
 
 
+@pytest.mark.gate("ground", "rigid")
 @pytest.mark.parametrize("unit", UNITS)
 def test_the_sampled_run_has_the_analytic_response(unit):
     """One pulse through each actuator of the linear bench, transformed: the simulation itself, not its model."""

@@ -82,6 +82,7 @@ def stopped_at_their_limits(case, law):
     assert met >= 0.6 * len(made)
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_of_any_correction_is_noticed(rng):
     law = LAWS["one measurement"](rng)
     code = c31_code(law)

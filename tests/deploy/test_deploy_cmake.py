@@ -64,6 +64,7 @@ def test_ctest_fails_when_a_coefficient_was_changed(cmake, law_of, tmp_path):
     assert built(cmake, project) == (1, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cc")
 def test_another_project_can_take_it_in(cmake, law_of, tmp_path):
     write_project(generate(law_of(4), tmp_path / "code"), tmp_path / "host" / "controller")

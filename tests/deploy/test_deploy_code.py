@@ -124,6 +124,7 @@ def test_reset_repeats_the_run(law_of, rng, tmp_path):
     assert np.array_equal(first, [runs.step(k) for k in y])
 
 
+@pytest.mark.slow
 def test_instances_do_not_touch_each_other(law_of, rng, tmp_path):
     made = generate(law_of(8), tmp_path / "code")
     other = generate(law_of(8), tmp_path / "other")

@@ -188,6 +188,7 @@ def undefined(name, flags, folder, source):
 EVERY_LEVEL = ("-O0", "-O2", "-O3 -march=native -DULTRAQUIET_CONTRACT_OFF", "-Os")
 
 
+@pytest.mark.slow
 def test_numbers_of_another_type_are_refused_and_other_orders_taken_back(law_of, tmp_path):
     if compiler("gcc") is None:
         pytest.skip("no GCC on this machine")

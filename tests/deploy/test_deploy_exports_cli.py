@@ -49,6 +49,7 @@ def test_what_could_not_be_written_stops_the_command_before_it_writes_anything(l
     assert [p.name for p in tmp_path.iterdir()] == ["law.h5"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cc")
 def test_what_is_there_is_written_over_only_when_that_was_asked_for(rng, tmp_path, monkeypatch, capsys):
     files.save(random_law(rng, 4, 1, 1), tmp_path / "law.h5")
@@ -78,6 +79,7 @@ def test_what_is_there_is_written_over_only_when_that_was_asked_for(rng, tmp_pat
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("precision", ["q31", pytest.param("float32", marks=pytest.mark.slow)])
 def test_code_is_written_over_only_when_that_was_asked_for(rng, tmp_path, monkeypatch, capsys, precision):

@@ -102,7 +102,7 @@ def test_ten_thousand_samples_in_fmpy_are_the_compiled_code_s_and_the_twin_s_to_
     assert np.ptp(theirs) > 0
 
 
-@pytest.mark.gate("3.0-float64")
+@pytest.mark.slow
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize(("version", "precision"), [("2.0", "float32"), ("3.0", "float64")])
 def test_instances_live_side_by_side_and_beside_another_law(version, precision, unit, law_of, rng, tmp_path):

@@ -37,6 +37,7 @@ def test_options_and_single_settings_make_the_same_code(law_of, tmp_path):
     assert one.tables["c31_budget"] == 2000
 
 
+@pytest.mark.slow
 def test_every_setting_of_old_is_taken(law_of, tmp_path):
     made = generate(law_of(4), tmp_path / "code", limits_v=25.0, **SETTINGS)
     assert made.tables["form"] == "modal"

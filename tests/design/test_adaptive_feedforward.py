@@ -74,6 +74,7 @@ def test_without_a_tone_it_does_no_harm(law, bench, rng):
         assert -share < 1.5
 
 
+@pytest.mark.slow
 def test_the_command_fades_when_the_tone_ends(law, bench, rng):
     t = seconds(7.0)
     d = tone(rng, np.full(t.size, 25.5)) * (t < 2)
@@ -133,6 +134,7 @@ def test_amplitudes_stay_within_their_limit(bench, rng):
     assert got > 1
 
 
+@pytest.mark.slow
 def test_a_law_for_a_steady_tone_is_the_linear_one(rng):
     """Once the frequency is known, the adaptive law and the resonator bank do the same."""
     bench = uq.bench.Hexapod(unit="ground", linear=True)

@@ -87,7 +87,7 @@ def test_reset_forgets_everything(method, seed, rng):
     np.testing.assert_array_equal(first, np.array([law.step(row) for row in y]))
 
 
-@pytest.mark.gate("AdaptiveFeedforward")
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS, ids=named)
 def test_a_limit_too_small_for_the_tone_is_said_and_kept(method, ground, seed, rng):
     settings = {f.name: getattr(method, f.name) for f in fields(method)}

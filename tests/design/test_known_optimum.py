@@ -152,7 +152,7 @@ def test_a_loop_that_is_unstable_keeps_nothing_and_tells_nothing():
     assert about_kept(G, idle, 0.2) == 0
 
 
-@pytest.mark.gate("shape1")
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 5)])
 def test_a_sketch_changes_no_design(seed, shape, monkeypatch):
     """The gain that is found is that of a search that attempts every one, misled sketches included."""

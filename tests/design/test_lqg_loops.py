@@ -169,6 +169,7 @@ def test_more_outputs_than_inputs_cannot_all_be_integrated(rng):
     assert "1 input for 2 outputs" in str(result.status)
 
 
+@pytest.mark.slow
 def test_the_band_in_the_loop_shapes_the_controller(rng):
     """With the band in the loop the controller carries its poles, and is smaller outside of it."""
     plant = bench_like(rng, 6)

@@ -131,6 +131,7 @@ def test_the_same_seed_gives_the_same_law_and_other_units_the_same_loop(found):
     assert other.details["attenuation_db"] == pytest.approx(found.details["attenuation_db"], abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_repeated_law_begins_as_the_scalar_one_that_it_repeats():
     """A law that was designed before, one on every channel, is taken to begin with as it is: in place, for instance."""
     one = resonant()

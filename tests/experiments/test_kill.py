@@ -110,6 +110,7 @@ def test_killed_while_it_writes(block, kill, tmp_path, rng):
     assert max(losses) <= block
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [10, pytest.param(200, marks=pytest.mark.slow)])
 def test_killed_while_it_finalises(count, kill, tmp_path, rng):
     """At every instant there is the log, or the record, or both; asked again, it ends with the record alone."""

@@ -112,6 +112,7 @@ def test_a_plant_that_only_its_loop_holds(rng, offset):
     )
 
 
+@pytest.mark.slow
 def test_k_steps_ahead_in_the_loop(rng):
     truth = plant()
     result = uq.identify.PredictorSubspace(order=4).identify(looped(truth, 20_000, rng))

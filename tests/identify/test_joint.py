@@ -50,6 +50,7 @@ def deviation(covariance):
     return np.sqrt(np.diag(covariance))
 
 
+@pytest.mark.slow
 def test_two_halves_are_worth_the_whole(rng):
     method = uq.identify.BoxJenkins(order=5, focus="prediction")
     ratios, spreads = [], []

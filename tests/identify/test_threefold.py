@@ -100,6 +100,7 @@ def test_a_strut_unlike_the_others_is_found(rng):
         assert found.status.word == "not symmetric"
 
 
+@pytest.mark.slow
 def test_model_of_six_functions(rng):
     G = uq.bench.Hexapod(unit="flight").linear_response(F_HZ)
     fit = Threefold(StructuredModal()).identify_response(noisy(rng, G, 1e-4), RATE_HZ)

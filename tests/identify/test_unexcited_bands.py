@@ -166,6 +166,7 @@ def test_nor_is_a_response_that_the_prior_alone_holds_up(tones, rng):
     assert found.status.word in {"unknown in part", "not white"}
 
 
+@pytest.mark.gate("impulse-units0", "arx-regularised-units1")
 @pytest.mark.parametrize("units", [(1.0, 1.0), (1e6, 1e-6)])
 @pytest.mark.parametrize("method", [uq.identify.RegularisedArx(), uq.identify.ImpulseResponse()], ids=lambda m: m.name)
 def test_two_inputs_of_three_tones_are_a_guess_in_any_units(method, units, rng):

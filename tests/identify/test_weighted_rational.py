@@ -81,6 +81,7 @@ def test_the_cramer_rao_bound_is_reached_and_bands_cover(rate_hz, channels, rng)
     assert 0.93 < np.mean(covered) < 0.97
 
 
+@pytest.mark.slow
 def test_the_order_is_found_in_the_noise(rng):
     orders, words = [], []
     for _ in range(8):

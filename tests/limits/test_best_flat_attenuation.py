@@ -104,6 +104,7 @@ def test_relaxing_a_demand_never_lowers_the_limit(rng):
     assert narrow >= found[0] - 0.5
 
 
+@pytest.mark.slow
 def test_a_milder_peak_is_used_where_the_plant_is_uncertain():
     """A guess of the level lies above the level: what is true at the level says little of where the guess binds."""
     drawn_from = np.random.default_rng(20261130)

@@ -82,6 +82,7 @@ def test_several_channels(rng):
             assert found.left_db >= -ROUNDING_DB
 
 
+@pytest.mark.slow
 def test_an_uncertainty_lowers_the_limit_of_every_direction():
     lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
     pair, asked = append(lag, lag), {"control_gain": 10.0, "basis": 25, "directions": [[1.0], [0.0]]}

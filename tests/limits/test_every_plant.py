@@ -75,7 +75,7 @@ def test_real_plants_within_the_uncertainty_are_stable_and_quiet(rng):
     assert 20 * np.log10(peak) <= 6.0 + 20 * np.log10(BETWEEN_POINTS)
 
 
-@pytest.mark.gate("1.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 1e9])
 def test_more_uncertainty_leaves_less(unit):
     plant = StateSpace(LAG.A, LAG.B, unit * LAG.C, LAG.D, RATE_HZ)
@@ -152,6 +152,7 @@ def test_where_little_can_be_had_no_control_is_never_worse(error):
         assert np.isnan(limit.bound_db) or limit.attenuation_db <= limit.bound_db
 
 
+@pytest.mark.slow
 def test_a_weight_that_is_a_system_and_a_plant_in_continuous_time():
     lag = StateSpace([[-100.0]], [[100.0]], [[1.0]], [[0.0]])
     weight = StateSpace([[-600.0]], [[1.0]], [[-540.0]], [[1.0]])  # 0.1 at rest, 1 far above 600 rad/s

@@ -72,7 +72,7 @@ def test_zeros_and_delay_are_those_of_the_plant(rng, shape):
             assert np.linalg.norm(row) < 1e-6 * np.linalg.norm(v @ plant.C) * np.linalg.norm(plant.B)
 
 
-@pytest.mark.gate("2")
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [2, 3])
 def test_a_limit_has_no_order_of_actuators(channels):
     plant = append(*[LAG] * channels)

@@ -48,6 +48,7 @@ def test_directions_are_those_that_actuators_reach(shape):
     assert not np.isclose(before.band_db, 0.0, atol=1e-6)  # what no actuator reaches stays as it is, 0 dB
 
 
+@pytest.mark.slow
 def test_a_lost_rms_is_told():
     plant = struts(4, 3, np.geomspace(8.0, 120.0, 6))
     result = uq.design.Lqg().design(plant)

@@ -258,6 +258,7 @@ def test_mean_square_of_a_direct_way_is_refused(rng):
         ClosedLoopWeighted(states=1, norm="mean-square").reduce(K, G)
 
 
+@pytest.mark.slow
 def test_tangled_modes_are_left_to_projection(loop):
     """A chain of delays cannot be split into modes; its reduction must still be certified."""
     plant, law = loop

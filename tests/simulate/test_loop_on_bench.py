@@ -268,7 +268,7 @@ def test_a_hidden_line_that_would_be_read_as_the_peak_is_listened_to_again(hidde
     assert not decides(np.zeros(3, dtype=bool), size, np.full(3, 0.01))
 
 
-@pytest.mark.gate("False")
+@pytest.mark.slow
 @pytest.mark.parametrize("limited", [False, True])
 def test_hidden_lines_say_what_would_let_them_be_heard(limited, rng):
     """Without limits readings are kept to a share of their noise; with limits the bench is as loud as it can be."""

@@ -30,7 +30,7 @@ def rig(low, high, rest, unit=1.0):
     return Wrapped(step, reset, RATE_HZ, [Channel("coil", "V", -10.0, 10.0)], [Channel("gap", "nm", low, high)])
 
 
-@pytest.mark.gate("4.0-20.0-12.0-1.0")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("low", "high", "rest", "unit"), [(0.0, 10.0, 5.0, 1.0), (4.0, 20.0, 12.0, 1.0), (0.0, 1e-8, 5.0, 1e-9)]
 )

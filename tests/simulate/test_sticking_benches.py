@@ -35,6 +35,7 @@ def test_what_a_loud_burst_throws_into_its_limits_is_not_called_settled(dead_n, 
     assert check.status.word == ("unstable" if truth else "ok")
 
 
+@pytest.mark.slow
 def test_what_a_tone_just_above_its_dead_zone_drives_into_the_limits_of_a_stable_loop_is_no_growth():
     """A little less does nothing at all: out of proportion to it is what any loop makes of a little more."""
     drawn_from = np.random.default_rng(307)

@@ -50,6 +50,7 @@ def test_bic_and_mdl_find_order_five_of_box_jenkins(name, rng):
     assert all(order >= 5 for k in ("aic", "fpe", "aicc") for order in tally[k])
 
 
+@pytest.mark.slow
 @pytest.mark.draws(false_alarm=1e-3)  # AIC took order two of 303 in 360 records: 39 of 60 or fewer in 1 of 4500 runs
 def test_bic_and_mdl_find_order_two_of_arx(rng):
     def record():

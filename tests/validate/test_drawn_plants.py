@@ -30,6 +30,7 @@ def test_their_spread_is_that_of_the_band(result, seed):
     assert np.array_equal(again.frequency_response(f)[0, 0], drawn[0])
 
 
+@pytest.mark.slow
 def test_a_loop_over_the_covariance(result, seed):
     found = monte_carlo(drawn_plants(result, 50, seed), gain([[-0.2]], RATE_HZ), (0.0, 5.0))
     print(found.status())
