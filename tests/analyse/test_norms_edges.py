@@ -233,3 +233,17 @@ def test_two_forms_that_agree_at_one_place_by_luck_are_asked_beside_it_too():
     norm, w = norms.peak_gain(A, B, C, D, True)
     beside = np.exp(1j * w * (1 + np.linspace(-5e-8, 5e-8, 41)))
     assert max(norms.refined_gain(A, B, C, D, z) for z in beside) <= norm * (1 + norms.DISAGREE)
+
+
+@pytest.mark.parametrize("rate_hz", [None, 858.0])
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_states_that_lead_nowhere_are_no_part_of_a_norm(rate_hz, unit, rng):
+    """Terms of 1e3 beside the diagonal, whose round-off no pole shows: through them nothing reaches the output."""
+    n = 20
+    A = np.diag(rng.uniform(0.3, 0.999, n) - (rate_hz is None)) + np.triu(1e3 * rng.standard_normal((n, n)), 1)
+    zeros = StateSpace(A, unit * rng.standard_normal((n, 2)), np.zeros((3, n)), np.zeros((3, 2)), rate_hz)
+    assert (hinf_norm(zeros)[0], h2_norm(zeros), l2_norm(zeros)) == (0.0, 0.0, 0.0)
+    one = StateSpace([[0.5 - (rate_hz is None)]], [[1.0, 0.0]], [[unit], [0.0], [0.0]], np.zeros((3, 2)), rate_hz)
+    both = one + zeros
+    for norm in (lambda G: hinf_norm(G)[0], h2_norm, l2_norm):
+        assert norm(both) == pytest.approx(norm(one), rel=1e-12)

@@ -272,3 +272,16 @@ def test_poles_on_the_boundary_at_the_default_disturbance(plant, unit):
     if unit == 1:
         result = Lqg(control_weight=1e-4).design(StateSpace(*M, rate_hz=1000.0))
         assert result.status.ok, result.status
+
+
+@pytest.mark.parametrize("estimator", ["current", "predicted"])
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (3, 5)])
+def test_a_plant_that_no_sensor_sees_gets_a_law_however_ill_its_states(ny, nu, estimator, rng):
+    """The cost is nothing; what is achieved was the round-off of states that lead nowhere, and so was refused."""
+    n = 20
+    A = np.diag(rng.uniform(0.3, 0.999, n)) + np.triu(1e3 * rng.standard_normal((n, n)), 1)
+    plant = StateSpace(A, rng.standard_normal((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), 858.0)
+    asked = {"band_hz": (24.4, 195.2), "control_weight": 0.02, "sensor_noise": 0.0016, "disturbance_at": "input"}
+    result = Lqg(**asked, disturbance=1.0, estimator=estimator).design(plant)
+    assert result.status.ok, result.status
+    assert (result.gamma, result.achieved) == (0.0, 0.0)

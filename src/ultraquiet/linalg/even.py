@@ -1,6 +1,7 @@
 """States scaled by powers of two, so that orthogonal transformations of them lose nothing."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.constraints import FloatArray
@@ -64,6 +65,24 @@ def even_states(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array, Arra
     """Return A, B and C in the states x / d of `even_scale`, and d."""
     d = even_scale(A, B, C)
     return A * d / d[:, None], B / d[:, None], C * d, d
+
+
+def connected(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, B and C without the states through which no input reaches any output, by their zeros alone.
+
+    They are no part of the response, whatever their size: what is computed with them is round-off in it.
+    """
+    linked = A != 0
+    reached, seen = np.any(B != 0, axis=1), np.any(C != 0, axis=0)
+    kept = _followed(linked, reached) & _followed(linked.T, seen)
+    return (A, B, C) if kept.all() else (A[np.ix_(kept, kept)], B[kept], C[:, kept])
+
+
+def _followed(linked: NDArray[np.bool_], found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return what can be reached from what is found, where `linked[i, j]` leads from j to i."""
+    while np.any(more := linked[:, found].any(axis=1) & ~found):
+        found = found | more
+    return found
 
 
 def untangled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

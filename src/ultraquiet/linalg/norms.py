@@ -1,13 +1,12 @@
-"""Norms of state-space matrices: the peak gain over frequency, exactly, and the mean square gain."""
+"""The peak gain of state-space matrices over frequency, exactly."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from ultraquiet.linalg.balance import Coordinates, even_blocks, modal, stable_first
+from ultraquiet.linalg.balance import Coordinates, even_blocks, modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous
-from ultraquiet.linalg.equations import lyapunov, stein
-from ultraquiet.linalg.even import even_states
+from ultraquiet.linalg.even import connected, even_states
 from ultraquiet.linalg.modal_response import Residues, split
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.linalg.response import refined_gain
@@ -66,6 +65,9 @@ def peak_gain(
     poles = np.linalg.eigvals(A)
     if poles.size and (np.abs(poles).max() >= 1 if discrete else poles.real.max() >= 0):
         return np.inf, least_damped(poles, discrete)
+    A, B, C = connected(A, B, C)
+    if len(A) < len(poles):  # round-off of what leads nowhere is no part of the response
+        poles = np.linalg.eigvals(A)
     gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(modal(A, B, C), D, (A, B, C), tolerance)
     gain_at = exact or (lambda z: refined_gain(A, B, C, D, z))
     told = _Known(lambda w: np.array([gain_at(z) for z in (np.exp(1j * w) if discrete else 1j * w)]))
@@ -279,41 +281,6 @@ def _mapped_peak(A: Array, B: Array, C: Array, D: Array, poles: Array, tolerance
     gain, w = _peak(form._replace(A=a, B=b, C=c), d, given[:3], tolerance)
     angle = float(2 * np.arctan(w))
     return gain, np.pi - angle if turned else angle
-
-
-def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> float:
-    """Return the H2 norm; infinite for unstable systems and for continuous ones with feedthrough."""
-    poles = np.linalg.eigvals(A)
-    if poles.size and (np.abs(poles).max() >= 1 if discrete else poles.real.max() >= 0):
-        return np.inf
-    if not discrete and np.any(D != 0):
-        return np.inf
-    # even blocks: a lightly damped mode beside a large coupling would lose its digits
-    form = modal(*even_states(A, B, C)[:3])
-    B = form.B
-    Q = (stein if discrete else lyapunov)(form.A.T, form.C.T @ form.C)
-    total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)
-    return float(np.sqrt(max(total, 0.0)))
-
-
-def axis_mean_square(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> float:
-    """Return the L2 norm, the mean square of the response over frequency; finite for unstable systems as well.
-
-    Stable and unstable part are orthogonal; the unstable one counts by its image, mirrored at the stability boundary.
-    """
-    A, B, C, _ = even_states(A, B, C)
-    T, inverse, stable = stable_first(A, discrete)
-    A, B, C = inverse @ A @ T, inverse @ B, C @ T
-    good, bad = slice(stable), slice(stable, None)
-    a, b, c = A[bad, bad], B[bad], C[:, bad]
-    if discrete and len(a):
-        # C (zI - A)^-1 B = -C A^-1 B - z C A^-2 B - ...: a constant, and powers of z that decay
-        E = np.linalg.inv(a)
-        D, (a, c) = D - c @ E @ b, (E, c @ E @ E)
-    elif len(a):
-        a, b = -a, -b
-    kept = mean_square_gain(A[good, good], B[good], C[:, good], D, discrete)
-    return float(np.hypot(kept, mean_square_gain(a, b, c, np.zeros(D.shape), discrete)))
 
 
 def _peak(form: Coordinates, D: Array, given: tuple[Array, Array, Array], tolerance: float) -> tuple[float, float]:
