@@ -54,12 +54,13 @@ def test_a_default_is_ok_in_any_units(seed, design):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
+@pytest.mark.draws(false_alarm=0.015)  # two of four plants that a default finds too hard, where one of twenty is
 @pytest.mark.parametrize("name", sorted(methods("design")))
-def test_every_default_on_twenty_plants(seed, name):
+def test_every_default_on_twenty_plants(seed, name, cases):
     """Never ok and upset by 1 dB or 5 degrees of one channel, in any units; those measured by the plant mostly ok."""
-    design, rows, wrong = methods("design")[name], [], []
+    design, rows, wrong, plants = methods("design")[name], [], [], cases(PLANTS)
     began = time.process_time()
-    for k in range(PLANTS):
+    for k in range(plants):
         rng = np.random.default_rng([seed, k])
         plant = ordinary(rng, SHAPES[k % len(SHAPES)], modes=int(rng.integers(2, 5)))
         for unit in UNITS[:1] if name in SLOW else UNITS:
@@ -74,4 +75,5 @@ def test_every_default_on_twenty_plants(seed, name):
     assert not wrong, wrong
     taken = [word for _, _, word in rows if word != "refused"]
     if design in MEASURED:
-        assert taken.count("ok") >= SHARE_OK * len(taken), Counter(taken)
+        spare = len(UNITS) if plants < PLANTS else 0  # a single plant is no share
+        assert taken.count("ok") >= SHARE_OK * len(taken) - spare, Counter(taken)

@@ -101,15 +101,16 @@ def moment(folder):
 @pytest.mark.slow
 @pytest.mark.timeout(5400)
 @pytest.mark.parametrize("count", [40])
-def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, walked, tmp_path, rng):
-    """Half of the kills strike at a change of the folder, evenly spread over all of them, half at any time."""
+def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, walked, tmp_path, rng, cases):
+    """Half of the kills strike at a change of the folder, one in each of as many parts of them, half at any time."""
+    whole, count = count, cases(count)
     begun = time.monotonic()
     code, said = walked(tmp_path / "whole", death=1 << 30, told=tmp_path / "told")
     took = time.monotonic() - begun
     assert code == 0, said
     wanted, files = numbers(tmp_path / "whole"), names(tmp_path / "whole")
     changes = len((tmp_path / "told").read_text().splitlines())
-    deaths = [1 + k * changes // (count // 2) for k in range(count // 2)]
+    deaths = [int(1 + (k + rng.random()) * changes / (count // 2)) for k in range(count // 2)]
     deaths[-1] = changes - 2  # summary and report are written within the last five, whatever runs beside
     kills = [{"death": death} for death in deaths] + [{"after": after} for after in rng.uniform(0, took, count // 2)]
     struck, identifying, wrong = Counter(), 0, []
@@ -129,8 +130,9 @@ def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, walked, tm
         f"were identified; wrong afterwards: {len(wrong)}"
     )
     assert not wrong, wrong
-    assert set(struck) >= STRUCK
-    assert identifying > 0
+    if count == whole:
+        assert set(struck) >= STRUCK
+        assert identifying > 0
 
 
 @pytest.mark.slow
