@@ -44,7 +44,9 @@ def closed(v: Verifier, bracket: Bracket, margin: float) -> Closed | None:
             if found is not None and found.keeps:
                 break
     scale, low = v.problem.level, bracket.below
-    hinted = found is not None and found.keeps and found.bound <= bracket.best.gamma * margin * (1 + CLOSE) / scale
+    near = bracket.best.gamma * margin * (1 + CLOSE) / scale
+    # what a law gives beyond its level is what rounding took: by that much others may be better
+    hinted = found is not None and found.keeps and found.bound <= near and found.achieved <= near * (1 + CLOSE)
     contradicted = v.best is not None and v.best.achieved * scale < low * (1 - CONTRADICTED)
     if hinted and found is not None and not contradicted and _shown(v, bracket):
         return Closed(found, low, min(bracket.best.gamma, found.achieved * scale), True)
