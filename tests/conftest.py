@@ -181,11 +181,12 @@ def share(request):
 def cases(request):
     """`cases(n)`: all n of a campaign that draws them alike, of a fresh seed a fifth unless `--whole` is asked for.
 
-    So the five draws of `make test-fresh` take n fresh cases together, and a stated rate is that of a fifth.
+    So the five draws of `make test-fresh` take n fresh cases together, and a stated rate is that of a fifth. A campaign
+    of no more cases than draws is taken whole.
     """
     config = request.config
     fresh = config.getoption("--seed") is not None and not config.getoption("--whole")
-    return lambda n: -(-n // FRESH_DRAWS) if fresh else n
+    return lambda n: -(-n // FRESH_DRAWS) if fresh and n > FRESH_DRAWS else n
 
 
 @pytest.fixture(scope="session")

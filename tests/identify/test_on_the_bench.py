@@ -49,7 +49,6 @@ class _Diagonal:
 
 
 @pytest.mark.slow
-@pytest.mark.gate("ground")
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_design_model_from_all_struts_at_once(unit, seed):
     bench = uq.bench.Hexapod(unit=unit, seed=seed)

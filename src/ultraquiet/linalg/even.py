@@ -1,4 +1,4 @@
-"""States scaled by powers of two, so that orthogonal transformations of them lose nothing."""
+"""States scaled by powers of two, so that orthogonal transformations of them lose nothing, and which of them count."""
 
 import numpy as np
 from numpy.typing import NDArray
