@@ -38,6 +38,7 @@ EXACTLY = 150  # states, up to which that is done
 MOVED = 1e-2  # of the accuracy, from which on rounding may move a peak
 # A response off by no more than that share is believed about where it is lower than the peak by so many times as much.
 CREDIBLE, BELIEVED = 1e-4, 10.0
+PLACES = 4  # of a plateau where that is asked
 DOUBLINGS = 30  # of a step away from a peak, until the response says that it is off the peak
 A_DECADE = 16  # frequencies that a flat response is looked at
 DECADES = 12  # at most
@@ -70,7 +71,7 @@ def peak_gain(
         poles = np.linalg.eigvals(A)
     gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(modal(A, B, C), D, (A, B, C), tolerance)
     gain_at = exact or (lambda z: refined_gain(A, B, C, D, z))
-    told = _Known(lambda w: np.array([gain_at(z) for z in (np.exp(1j * w) if discrete else 1j * w)]))
+    told = _Known(lambda w: np.array([gain_at(z) for z in (np.exp(1j * w) if discrete else 1j * w)]), exact is not None)
     gain, w = _refined(A, B, C, D, discrete, poles, gain, w, max(tolerance, DISAGREE), told)
     return (told.one(w) if np.isfinite(w) else gain), w
 
@@ -143,14 +144,19 @@ def _refined(
             best, where = top, x
     # two forms may agree by luck: whether the response is known so well, the exact one says
     looked = _where_told(places, where, 1.0 if discrete else float(np.abs(poles).max()), accuracy)
+    if exact.of_others and len(A) <= EXACTLY:
+        looked = np.concatenate([looked, _as_high(at, looks[looks <= last], best * (1 - BELIEVED * accuracy), PLACES)])
     off = float(np.abs(at(looked) / exact(looked) - 1).max())
     if not off > accuracy or len(A) > EXACTLY:
         return best, where
     looks = np.concatenate([[where], looks, np.abs(places), np.abs(places.imag)])
-    looks = _highest(at, looks[looks <= last])
+    looks = looks[looks <= last]
     if off > CREDIBLE:
-        return _sought(exact, looks, last)
-    return _told_apart(at, exact, looks[at(looks) >= best * (1 - BELIEVED * off)], off, last)
+        return _sought(exact, _highest(at, looks, HIGHEST), last)
+    level = best * (1 - BELIEVED * off)
+    highest = _highest(at, looks, HIGHEST // 2)
+    places = np.concatenate([highest[at(highest) >= level], _as_high(at, looks, level, HIGHEST // 2)])
+    return _told_apart(at, exact, np.unique(places), off, (float(looks[looks > 0].min(initial=last)), last))
 
 
 def _where_told(places: Array, w: float, size: float, accuracy: float) -> Array:
@@ -160,11 +166,23 @@ def _where_told(places: Array, w: float, size: float, accuracy: float) -> Array:
     return np.abs(w + np.sqrt(accuracy) * decay * np.array([-1.0, 0.0, 1.0] if moved else [0.0]))
 
 
-class _Known:
-    """A gain over frequency that is evaluated for many frequencies at once, and once only for each."""
+def _as_high(at: "_Known", places: Array, level: float, count: int) -> Array:
+    """Return some of the places above a level, its first and last among them: a plateau peaks where errors say."""
+    gains = at(places)
+    above = np.unique(places[np.isfinite(gains) & (gains >= level)])
+    return above[np.unique(np.linspace(0, above.size - 1, count).astype(int))] if above.size else above
 
-    def __init__(self, of: Callable[[Array], Array]) -> None:
+
+class _Known:
+    """A gain over frequency that is evaluated for many frequencies at once, and once only for each.
+
+    `of_others` says that it is that of other matrices: it then differs from the one at hand by a curve, which may be
+    zero at the peak, and not by what rounding takes at each frequency anew.
+    """
+
+    def __init__(self, of: Callable[[Array], Array], of_others: bool = False) -> None:
         self._of = of
+        self.of_others = of_others
         self._known: dict[float, float] = {}
 
     def __call__(self, w: Array) -> Array:
@@ -178,14 +196,14 @@ class _Known:
         return float(self(np.array([w]))[0])
 
 
-def _highest(at: _Known, places: Array) -> Array:
+def _highest(at: _Known, places: Array, count: int) -> Array:
     """Return the places where a gain known to a few digits is highest."""
     w = np.unique(places)
     gains = at(w)
-    return w[np.argsort(-np.where(np.isfinite(gains), gains, 0.0), kind="stable")[:HIGHEST]]
+    return w[np.argsort(-np.where(np.isfinite(gains), gains, 0.0), kind="stable")[:count]]
 
 
-def _told_apart(at: _Known, exact: _Known, places: Array, off: float, last: float) -> tuple[float, float]:
+def _told_apart(at: _Known, exact: _Known, places: Array, off: float, ends: tuple[float, float]) -> tuple[float, float]:
     """Return the exact peak among places that a response off by a share does not tell apart.
 
     What that response can tell is not asked again: it bounds where each peak may lie, and the exact one, many times as
@@ -193,9 +211,10 @@ def _told_apart(at: _Known, exact: _Known, places: Array, off: float, last: floa
     """
     gains = exact(places)
     best, where = float(gains.max()), float(places[np.argmax(gains)])
+    least, last = ends
     for start in places[np.argsort(-gains, kind="stable")][:RIVALS]:
-        level = at.one(start) * (1 - BELIEVED * off)
-        low, high = (_fallen(at, float(start), level, turn * DISAGREE * float(start), last) for turn in (-1, 1))
+        level, step = at.one(start) * (1 - BELIEVED * off), DISAGREE * max(float(start), least)
+        low, high = (_fallen(at, float(start), level, turn * step, last) for turn in (-1, 1))
         top, x = _narrowed(exact, np.linspace(low, high, FEW), 2 * NARROWINGS, FEW)
         if top > best:
             best, where = top, x
