@@ -20,9 +20,9 @@ GIVEN = [
     (uq.design.MixedSensitivity, {"noise": 0.5}, {"noise": lambda u, y: y}),
     (uq.design.MixedSensitivity, {"disturbance": 2.0}, {"disturbance": lambda u, y: u}),
     (uq.design.BandAttenuation, {"height": 4.0, "order": 4}, {}),
-    (
+    (  # 70 dB above what undoes the plant: each plant drawn gets a limit of its own
         uq.design.BandAttenuation,
-        {"control_limit": 30.0, "height": 4.0, "order": 4},
+        {"control_limit": 3000.0, "height": 4.0, "order": 4},
         {"control_limit": lambda u, y: u / y},
     ),
     (uq.design.Lqg, {"sensor_noise": 1e-3}, {"sensor_noise": lambda u, y: y**2}),
@@ -59,6 +59,8 @@ def largest(plant, law, f):
 @pytest.mark.parametrize(("u", "y"), [(1e6, 1e-3), (1e-4, 1e5)])
 def test_other_units_change_nothing(rng, design, given, units, u, y):
     plant = ordinary(rng, (2, 2), modes=3)
+    if "control_limit" in given:
+        given = {**given, "control_limit": given["control_limit"] / UsualNumbers.of(plant, None).loudness}
     one = design(**given).design(plant)
     rescaled = {name: value * units[name](u, y) if name in units else value for name, value in given.items()}
     other = design(**rescaled).design(scaled(plant, u, y))
@@ -89,6 +91,24 @@ def test_usual_numbers_are_those_of_the_plant(rng):
     assert other.control_limit == pytest.approx(usual.control_limit * 1e5)
     assert (other.roll_off_hz, other.control_hz) == pytest.approx((10 * usual.roll_off_hz, 10 * usual.control_hz))
     assert usual.noise(usual.disturbance(3.0)) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("margin", [1.00003, 1.05])
+def test_a_problem_in_which_control_costs_next_to_nothing_has_one_answer(margin):
+    """A limit on K S 2e9 times what undoes the plant: the verified norm was 1.07 to 1.20 by the plant's units."""
+    plant = ordinary(np.random.default_rng(20261301), (2, 2), modes=3)
+    P = uq.design.BandAttenuation(control_limit=30.0, height=4.0, order=4).generalised(plant)
+    norms = []
+    for u, y in ((1.0, 1.0), (1e6, 1e-3), (1e-4, 1e5), (3.0, 1.0)):
+        into, out = np.ones(P.B.shape[1]), np.ones(len(P.C))
+        into[-2:], out[-2:] = u, y
+        other = uq.StateSpace(P.A, P.B / into, P.C * out[:, None], P.D * out[:, None] / into, P.rate_hz)
+        result = uq.design.synthesize_hinf(other, 2, 2, margin=margin, second_opinion=False)
+        norms.append(result.achieved)
+        assert result.details["optimum"][1] <= 1.065
+        assert result.details["decided"] == ("not decided" not in result.status.sentence)
+    print(f"verified norms at margin {margin:g}: {min(norms):.5f} to {max(norms):.5f}")
+    assert max(norms) <= 1.001 * min(norms)
 
 
 def test_noise_and_disturbance_are_the_one_by_the_other():

@@ -124,4 +124,17 @@ def from_synthesis(
     if not synthesised.status.ok or law is None:
         return replace(synthesised, details=merged, provenance=_provenance(plant, settings))
     gamma, achieved = synthesised.gamma, synthesised.achieved
-    return judged(plant, law, settings, gamma, achieved, synthesised.residuals, merged)
+    result = judged(plant, law, settings, gamma, achieved, synthesised.residuals, merged)
+    if merged.get("decided", True):
+        return result
+    said = f"{result.status.sentence} {_undecided(*merged['optimum'])}"
+    return replace(result, status=Status(result.status.word, said))
+
+
+def _undecided(low: float, high: float) -> str:
+    """Return what a search that ended open says of the law that it found."""
+    return (
+        f"The law's weighted norm is not shown to be the least: the best that was reached is {rounded(high)}, no more "
+        f"than {rounded(low)} is shown to be out of reach, and no equation could be solved between; weights less far "
+        "apart in size would decide it."
+    )

@@ -81,9 +81,10 @@ def synthesize_hinf(
     Returns:
         A `DesignResult`: `gamma` is the norm that the returned controller gives in the coordinates of the synthesis,
         `achieved` the norm of F(P, K) computed again in the units of P; `details` holds `optimum`, the bracket of the
-        smallest level, `below`, why levels under it fail, `certain`, the level that frequency responses alone prove
-        out of reach, `bound`, the level of the equations solved, their `conditions`, and `second_opinion`. Without a
-        solution the status is `refused`, its sentence names the block at fault, and there is no controller.
+        smallest level, `decided`, whether nothing goes below it for certain, `below`, why levels under it fail,
+        `certain`, the level that frequency responses alone prove out of reach, `bound`, the level of the equations
+        solved, their `conditions`, and `second_opinion`. Without a solution the status is `refused`, its sentence names
+        the block at fault, and there is no controller.
 
     Raises:
         InputError: sizes that do not fit the plant.
@@ -288,6 +289,7 @@ def _result(v: Verifier, bracket: Bracket, ended: Closed) -> DesignResult:
         "bound": found.bound,
         # one may be the other but for rounding: a bound of responses alone that a controller reaches
         "optimum": (min(ended.out_of_reach, ended.reached) / scale, ended.reached / scale),
+        "decided": ended.shown,
         "below": bracket.reason,
         "certain": bracket.certain / scale,
         "probes": bracket.probes,

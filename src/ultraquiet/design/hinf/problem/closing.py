@@ -1,17 +1,21 @@
 """The smallest level that a verified controller keeps, and the highest that is shown to be out of reach."""
 
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.gamma_search import Bracket
+from ultraquiet.design.hinf.problem.regularise import softened
 from ultraquiet.design.hinf.problem.verified import Reached, Verifier
 
 CONTRADICTED = 1e-5  # share by which a verified norm must lie under a level for that level's failure to be false
 OPEN = 1e-3  # share by which the verified level may exceed the one out of reach without a further search
 CLOSE = 1e-4  # share to which that search closes
 STEPS = 16
+ROUNDS = 3  # of that search where it ends open, each from what levels above it gave
+ABOVE = (1.005, 1.02, 1.05, 1.1)
 CLIMBS = 12
 SPREAD = 1e6  # width of the search, where nothing is known to be out of reach
 # Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
@@ -78,22 +82,47 @@ def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> 
     nothing, none = (0.0, 0.0) if contradicted else (level if level < high else 0.0 for level in v.searched)
     shown = max(proven, none)
     low = max(proven, high / SPREAD, nothing)
+    calm = None
+    for _ in range(ROUNDS):
+        low, high, shown = _bisected(v, low, high, shown)
+        v.searched, before = (low, shown), high
+        if high <= shown * (1 + OPEN):
+            break
+        # equations that cannot be solved at a level may be solved above it, for a law that gives less than that level
+        calm = softened(v, margin) or calm
+        _tried(v, [high * factor for factor in ABOVE])
+        high = v.best.achieved * scale
+        if high > before * (1 - CLOSE):
+            break
+        low = max(proven, shown)
+    # a controller a little off the optimum is the better one to build; one far off it is not what was asked for
+    routes = (v.at, v.beside) if margin > 1 + CLOSE else ()
+    calmer = chain([calm], (route(high * margin) for route in routes))
+    chosen = next((c for c in calmer if c is not None and c.keeps and c.achieved * scale <= high * margin), v.best)
+    return Closed(chosen, shown, high, high <= shown * (1 + OPEN))
+
+
+def _bisected(v: Verifier, low: float, high: float, shown: float) -> tuple[float, float, float]:
+    """Return the levels between which verified controllers leave the smallest, and the highest shown out of reach."""
     for _ in range(STEPS):
         if high <= low * (1 + CLOSE):
             break
         middle = float(np.sqrt(low * high))
-        if v.at(middle) is None and not v.shown:
-            v.beside(middle)
-        if v.shown and v.best.achieved * scale > middle:
+        _tried(v, [middle])
+        assert v.best is not None
+        reached = v.best.achieved * v.problem.level
+        if v.shown and reached > middle:
             shown = max(shown, middle)
-        before, high = high, min(high, v.best.achieved * scale)
-        low = low if high < before else middle
-    v.searched = low, shown
-    # a controller a little off the optimum is the better one to build; one far off it is not what was asked for
-    routes = (v.at, v.beside) if margin > 1 + CLOSE else ()
-    calmer = (final for route in routes if (final := route(high * margin)) is not None)
-    chosen = next((c for c in calmer if c.keeps and c.achieved * scale <= high * margin), v.best)
-    return Closed(chosen, shown, high, high <= shown * (1 + OPEN))
+        low = low if reached < high else middle
+        high = min(high, reached)
+    return low, high, shown
+
+
+def _tried(v: Verifier, levels: list[float]) -> None:
+    """Form controllers at some levels: by the other route where this one fails without showing that there is none."""
+    for level in levels:
+        if v.at(level) is None and not v.shown:
+            v.beside(level)
 
 
 def _climb(v: Verifier, start: float) -> None:

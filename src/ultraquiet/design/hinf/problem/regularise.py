@@ -17,6 +17,10 @@ WEIGHTS = tuple(float(w) for w in 10.0 ** np.arange(-1.0, -8.1, -0.5))
 SHARE = 1e-3  # of the best norm found, which the weight chosen may cost
 PATIENCE = 4  # weights in turn that bring nothing before the search ends
 FINE = 1e-4  # relative width of each search
+SOFT = tuple(
+    float(w) for w in 10.0 ** np.arange(-2.0, -6.1, -0.5)
+)  # likewise, where the problem is only nearly singular
+AT = 1.00003  # times the level, where the law is formed that tells what a weight costs
 
 
 class Regularised(NamedTuple):
@@ -37,18 +41,21 @@ class Regularised(NamedTuple):
         return self.found.achieved / least - 1
 
 
-def completed(P: StateSpace, ny: int, nu: int, weight: float) -> StateSpace:
+def completed(P: StateSpace, ny: int, nu: int, weight: float, states: bool = True) -> StateSpace:
     """Return the problem with weight times u and x seen in z besides, and as much noise on y and x in w.
 
     z = (z0, weight u, weight x), w = (w0, n, d), y = y0 + weight n, x' = ... + weight d. No assumption of the theory
     fails there but those on unstable modes that controls do not reach or measurements do not see, and no controller
-    gives it a smaller norm than the problem itself.
+    gives it a smaller norm than the problem itself. Without `states`, x and d are left out: what is nearly singular
+    because control or noise cost nearly nothing needs no more, and is changed less.
     """
     p, m, n = P.D.shape[0] - ny, P.D.shape[1] - nu, P.states
-    B = np.hstack([P.B[:, :m], np.zeros((n, ny)), weight * np.eye(n), P.B[:, m:]])
-    C = np.vstack([P.C[:p], np.zeros((nu, n)), weight * np.eye(n), P.C[p:]])
-    D = np.zeros((p + nu + n + ny, m + ny + n + nu))
-    z, w, y, u = slice(p), slice(m), slice(p + nu + n, None), slice(m + ny + n, None)
+    on_x = weight * np.eye(n if states else 0, n)
+    k = len(on_x)
+    B = np.hstack([P.B[:, :m], np.zeros((n, ny)), on_x.T, P.B[:, m:]])
+    C = np.vstack([P.C[:p], np.zeros((nu, n)), on_x, P.C[p:]])
+    D = np.zeros((p + nu + k + ny, m + ny + k + nu))
+    z, w, y, u = slice(p), slice(m), slice(p + nu + k, None), slice(m + ny + k, None)
     D[z, w], D[z, u], D[y, w], D[y, u] = P.D[:p, :m], P.D[:p, m:], P.D[p:, :m], P.D[p:, m:]
     D[p : p + nu, u] = weight * np.eye(nu)
     D[y, m : m + ny] = weight * np.eye(ny)
@@ -98,3 +105,29 @@ def _with(
             if found is not None and found.keeps:
                 return Regularised(found, v, bracket, weight, norms)
     return None
+
+
+def softened(v: Verifier, margin: float) -> Reached | None:
+    """Return what a problem with small weights on controls and measurements gives of the problem itself.
+
+    For a search that ended open: where control costs next to nothing beside the rest, the equations lose their digits,
+    and a law of another problem whose norm is verified is worth more than none. The best law found joins `v.best`; what
+    is returned was formed at `margin` times the level of the best weight, None where none came below what was known.
+    """
+    before = np.inf if v.best is None else v.best.achieved
+    norms: list[float] = []
+    calm = None
+    for weight in SOFT:
+        try:
+            other = Verifier(v.P, v.problem, completed(v.even, v.ny, v.nu, weight, states=False), v.ny, v.nu)
+            level = search(other.plant, FINE, before * v.problem.level if np.isfinite(before) else None).best
+        except (NumericalError, LinAlgError):
+            continue
+        found = None if level.reason else other.at(level.gamma * AT, level)
+        norms.append(np.inf if found is None else found.achieved)
+        if found is not None and (v.best is None or found.achieved < v.best.achieved):
+            v.best = found._replace(level=None)
+            calm = other.at(level.gamma * margin) if margin > AT else None
+        elif min(norms[-2:]) > min(norms) and min(norms) < np.inf:
+            break  # two in turn that were worse: digits are lost again
+    return None if calm is None else calm._replace(level=None)
