@@ -11,6 +11,7 @@ from ultraquiet.design import PeakBounded
 from ultraquiet.design.law_structure.controller_structure import ControllerStructure, Placement
 from ultraquiet.design.law_structure.damped_pairs import DampedPairs, Resonances
 from ultraquiet.design.law_structure.plane import plane_of
+from ultraquiet.design.peak_bounded import campaign
 from ultraquiet.design.peak_bounded.biquads import Biquads, in_series
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.certificate import LoopCertificate
@@ -304,6 +305,34 @@ def test_a_law_is_held_on_the_drawn_plants_that_stand_worst():
     others = perturbed(plant, 12, 0.2, 0.03, np.random.default_rng(1), (30.0, 55.0))
     worst = [max(peak_sensitivity(g, law)[0] for g in others) for law in (free, held.controller)]
     assert worst[1] < worst[0] - 0.3
+
+
+def test_plants_drawn_far_off_are_come_to_by_growing_shares_of_the_spread(monkeypatch):
+    """A law of 21 dB was turned down for a plant drawn that it exceeded a bound on by 12 dB, and ended at 0.5 dB."""
+    plant, shares = resonant(channels=2), []
+    settings = {"band_hz": (30.0, 55.0), "states": 4, "steps": 12, "gain_spread": 0.2, "draws": 4}
+    usual = PeakBounded(**settings).design(plant)
+    near = PeakBounded._near
+    monkeypatch.setattr(PeakBounded, "_near", lambda *args: shares.append(args[-1]) or near(*args))
+    monkeypatch.setattr(campaign, "FAR_DB", 0.0)  # whatever exceeds a bound is far off
+    grown = PeakBounded(**settings).design(plant)
+    db = [each.details["attenuation_db"] for each in (usual, grown)]
+    print(f"at once {db[0]:.2f} dB, by shares {shares} {db[1]:.2f} dB")
+    assert shares == [1.0, *campaign.SHARES]
+    assert max(peak for _, peak in grown.details["figures"].drawn) < PEAK_DB + 0.15
+    assert db[1] > db[0] - 0.3
+
+
+def test_what_the_plants_drawn_cost_is_told_where_it_is_much():
+    plant = resonant()
+    settings = {"band_hz": (30.0, 55.0), "states": 4, "steps": 12, "draws": 2}
+    dear, cheap = (
+        PeakBounded(**settings, gain_spread=g, mode_spread=m).design(plant) for g, m in ((0.5, 0.5), (0.01, 0.001))
+    )
+    for found, told in ((dear, True), (cheap, False)):
+        figures = found.details["figures"]
+        print(f"{figures.alone_db:.2f} dB alone, {figures.attenuation_db:.2f} dB: {found.status}")
+        assert ("costs" in found.status.sentence) == told == (figures.alone_db - figures.attenuation_db >= 2.0)
 
 
 def test_a_section_at_the_floor_of_its_damping_is_at_the_floor_and_may_leave_it():

@@ -1,6 +1,6 @@
 """A search from several starts: on the plants given first, then with those drawn near them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.certificate import Certified, LoopCertificate
 from ultraquiet.design.peak_bounded.loops.levels import LoopLevels, Standing
 from ultraquiet.design.peak_bounded.loops.scenario import Scenario
-from ultraquiet.design.peak_bounded.search import PRICE, SearchEnd, calmed, search, stable
+from ultraquiet.design.peak_bounded.search import FAR_DB, PRICE, SearchEnd, calmed, search, stable
 from ultraquiet.design.peak_bounded.step import merit
 from ultraquiet.values.state_space import StateSpace
 
@@ -30,8 +30,11 @@ FAN = np.array([0.995, 1.0, 1.005])  # lines around such a place
 NEARLY_DB, QUIET_DB = 0.1, 3.0  # a start that keeps its bounds so nearly and attenuates by so much is good enough
 ROOM_DB = 0.7  # kept below the bound on S by a search without the plants drawn: they would take it
 WIDENINGS, JOIN, WORSE_DB = 3, 3, 0.1  # rounds in which plants join, how many, and how much worse they must stand
+# Of the spread, where the plants drawn at all of it stand so far off that a law turned down for them ends at nothing.
+SHARES = (0.25, 0.5, 0.75)
 
 Start = tuple[ControllerStructure, FloatArray]
+Near = Callable[[float], Sequence[StateSpace]]
 
 
 class SearchFromStarts:
@@ -40,18 +43,19 @@ class SearchFromStarts:
     Args:
         demands: on every plant.
         plants: those given.
-        near: those drawn near them.
+        near: of a share of the spreads, those drawn near them; None where none are to be held.
         steps: on the plants given, and again with all, at most.
         roof_hz: a line that the grid must hold.
     """
 
     def __init__(
-        self, demands: Demands, plants: Sequence[StateSpace], near: Sequence[StateSpace], steps: int, roof_hz: float
+        self, demands: Demands, plants: Sequence[StateSpace], near: Near | None, steps: int, roof_hz: float
     ) -> None:
-        self.demands, self.plants, self.near, self.steps = demands, tuple(plants), tuple(near), steps
+        self.demands, self.plants, self.near, self.steps = demands, tuple(plants), near, steps
         self.plane = plane_of(self.plants[0])
         self.taken, self.lines = 0, 0
         self.excess_db: tuple[float, ...] = ()  # over a bound, on each plant given
+        self.alone_db = -np.inf  # attenuation before plants near have a say
         self.drawn: tuple[Certified, ...] = ()  # what the law reaches on the plants near
         self._pool: list[Scenario] = []
         rate_hz = self.plants[0].rate_hz
@@ -70,6 +74,7 @@ class SearchFromStarts:
             law, end = found
             end = self._searched(law, end.theta, given, self.steps, progress, self._tighter())
             every = given
+            self.alone_db = -np.inf if end is None else -float(end[1].standing.level_db)
             if end is not None and self.near:
                 end, every = self._widened(law, (end[1], found[1]), given, progress)
             certificates = [LoopCertificate(each, self.demands) for each in every]
@@ -107,16 +112,18 @@ class SearchFromStarts:
     ) -> tuple[tuple[ControllerStructure, SearchEnd] | None, list[Scenario]]:
         """Return the end of a search on the plants given and on those drawn that decide, and all of these.
 
-        It goes on from the first of two ends. Where a plant drawn is unstable with that, turning the law down may lead
-        nowhere, and the search is made from the second as well.
+        It goes on from the first of two ends, by growing shares of the spread where a plant drawn at all of it is
+        unstable or far off: turning the law down for it leads nowhere. Where one still is unstable, the search is made
+        from the second end as well.
         """
-        self._pool = [Scenario(g, self.plane, self._coarse, self.demands.band_hz, NARROW) for g in self.near]
+        self._pool = self._drawn(1.0)
         working: list[Scenario] = []
         best: tuple[ControllerStructure, SearchEnd] | None = (law, ends[0])
+        if any(excess > FAR_DB for _, excess in self._stand(law, ends[0].theta, self._pool)):
+            best = self._grown(law, ends[0], given, progress)
         for _ in range(WIDENINGS):
             theta = best[1].theta
-            levels = [LoopLevels(law, self.demands, [each]) for each in self._pool]
-            worth = [_worth(each.standing(theta)) if stable(each, theta) else np.inf for each in levels]
+            worth = [worth for worth, _ in self._stand(law, theta, self._pool)]
             limit = _worth(best[1].standing) + WORSE_DB
             more = [i for i in np.argsort(worth)[::-1] if worth[i] > limit and self._pool[i] not in working][:JOIN]
             if not more:
@@ -129,6 +136,31 @@ class SearchFromStarts:
             if best is None:
                 break
         return best, [*given, *working]
+
+    def _grown(
+        self, law: ControllerStructure, end: SearchEnd, given: list[Scenario], progress: Task
+    ) -> tuple[ControllerStructure, SearchEnd]:
+        """Return the end of searches on the plants given and on those that stand worst at growing shares of spread."""
+        best = (law, end)
+        for share in SHARES:
+            pool = self._drawn(share)
+            worth = [worth for worth, _ in self._stand(law, best[1].theta, pool)]
+            worst = [pool[i] for i in np.argsort(worth)[::-1][:JOIN]]
+            best = self._searched(law, best[1].theta, [*given, *worst], self.steps // 4, progress) or best
+        return best
+
+    def _stand(
+        self, law: ControllerStructure, theta: FloatArray, pool: Sequence[Scenario]
+    ) -> list[tuple[float, float]]:
+        """Return of each plant what the law is worth on it and what it exceeds, both infinite where it is unstable."""
+        levels = [LoopLevels(law, self.demands, [each]) for each in pool]
+        stands = [each.standing(theta) if stable(each, theta) else None for each in levels]
+        return [(np.inf, np.inf) if s is None else (_worth(s), s.excess_db) for s in stands]
+
+    def _drawn(self, share: float) -> list[Scenario]:
+        """Return plants drawn at a share of the spreads."""
+        near = self.near(share) if self.near else ()
+        return [Scenario(g, self.plane, self._coarse, self.demands.band_hz, NARROW) for g in near]
 
     def _hidden(self, law: ControllerStructure, theta: FloatArray, certificates: Sequence[LoopCertificate]) -> bool:
         """Return whether bounds are exceeded between the lines of a plant; all those lines are taken in."""

@@ -28,7 +28,7 @@ from ultraquiet.design.law_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.campaign import SearchFromStarts, Start
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
-from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db
+from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db, with_price
 from ultraquiet.design.peak_bounded.roof import roof
 from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts, unasked_starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
@@ -173,12 +173,11 @@ class PeakBounded(StatedRobustness):
         rising_band(WHO, units.band_hz, plants[0].rate_hz)
         require_room(WHO, plants[0], self.washout_hz, units.band_hz[0])
         scaled = [units.scaled(each) for each in plants]
-        rng = np.random.default_rng(self.seed)
-        near = [p for g in scaled for p in self._drawn(g, rng, units)]
         demands, top = self._demands(scaled, units, structure)
         # S and T of a law K W on G are those of K on W G, and K W S is nowhere larger than K S: every bound holds
-        heard, heard_near = ([heard_through(g, self.washout_hz) for g in some] for some in (scaled, near))
-        campaign = SearchFromStarts(demands, heard, heard_near, self.steps, top[0])
+        heard = [heard_through(g, self.washout_hz) for g in scaled]
+        near = partial(self._near, scaled, units) if self.draws else None
+        campaign = SearchFromStarts(demands, heard, near, self.steps, top[0])
         law = campaign.best(self._begin(scaled[0], structure, self._laws(scaled, units, structure, heard)))
         if law is None:
             return refused(f"{WHO}: no start is stable with every plant; give another 'start', or less spread.")
@@ -191,10 +190,15 @@ class PeakBounded(StatedRobustness):
             details |= {"band_hz": units.band_hz, "attenuation_rms_db": quieter}
         level = 10 ** (-reached.attenuation_db / 20)
         result = judged(plants[0], units.own(law), self, level, level, {}, details)
-        return among(result, plants, reached, self.disk_margin, units.band_hz)
+        result = among(result, plants, reached, self.disk_margin, units.band_hz)
+        return with_price(result, reached, self.gain_spread, self.mode_spread)
 
-    def _drawn(self, plant: StateSpace, rng: np.random.Generator, units: SearchUnits) -> list[StateSpace]:
-        return perturbed(plant, self.draws, self.gain_spread, self.mode_spread, rng, units.band_hz)
+    def _near(self, plants: Sequence[StateSpace], units: SearchUnits, share: float) -> list[StateSpace]:
+        """Return the plants drawn near those given, as they are heard: every share has the same draws."""
+        rng = np.random.default_rng(self.seed)
+        gain, mode = share * self.gain_spread, share * self.mode_spread
+        drawn = [p for g in plants for p in perturbed(g, self.draws, gain, mode, rng, units.band_hz)]
+        return [heard_through(g, self.washout_hz) for g in drawn]
 
     def _figures(
         self,
@@ -212,6 +216,7 @@ class PeakBounded(StatedRobustness):
             attenuation_db=min(f.attenuation_db for f in each),
             peak_db=max(f.peak_db for f in each),
             plants=each,
+            alone_db=campaign.alone_db,
             drawn=tuple((f.attenuation_db, f.peak_db) for f in campaign.drawn),
             roof_hz=top[0],
             roof_gain=top[1] * control,
@@ -256,7 +261,7 @@ class PeakBounded(StatedRobustness):
         if structure != DECENTRALISED or plants[0].D.shape[0] == 1:
             return laws
         demands, top = self._demands(plants, units, REPEATED)
-        search = SearchFromStarts(demands, heard, (), self.steps, top[0])
+        search = SearchFromStarts(demands, heard, None, self.steps, top[0])
         alike = search.best(self._begin(plants[0], REPEATED, laws))
         return laws if alike is None else [of_one_channel(alike)[0], *laws]
 

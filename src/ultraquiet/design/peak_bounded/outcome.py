@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ultraquiet._base.shown.line import fall
+from ultraquiet._base.shown.line import fall, rounded
 from ultraquiet.analyse.gang import gang_of_four
 from ultraquiet.analyse.loop_response import band_attenuation, loop_response, reached_directions
 from ultraquiet.analyse.margins import peak_sensitivity
@@ -21,6 +21,7 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 ROUNDING_DB = 0.02  # a bound exceeded by less is met
+DEAR_DB = 2.0  # of attenuation: what plants drawn cost beyond it is told
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class SearchFigures:
         attenuation_db: least over the plants given.
         peak_db: largest over them.
         plants: each of them.
+        alone_db: attenuation that the search came to on them before any plant drawn near had a say.
         drawn: attenuation and peak of every plant drawn near them.
         roof_hz, roof_gain: where the law had to stay small, and how small; infinite where nowhere.
         structure, states: of the law; states of each of its parts.
@@ -57,6 +59,7 @@ class SearchFigures:
     attenuation_db: float
     peak_db: float
     plants: tuple[PlantFigures, ...]
+    alone_db: float
     drawn: tuple[tuple[float, float], ...]
     roof_hz: float
     roof_gain: float
@@ -118,6 +121,19 @@ def among(
     if result.status.ok and not any(each.tones_db for each in found.plants):
         return _unless_idle(result, plants, found.attenuation_db, band_hz)
     return result
+
+
+def with_price(result: DesignResult, found: SearchFigures, gain_spread: float, mode_spread: float) -> DesignResult:
+    """Return a verdict that tells what the plants drawn near cost, where that is much."""
+    cost = found.alone_db - found.attenuation_db
+    if not result.status.ok or not found.drawn or cost < DEAR_DB:
+        return result
+    said = (
+        f"For the plants given alone the search came to {rounded(found.alone_db)} dB; that the law also holds on "
+        f"plants drawn near them, gains up to {gain_spread:.0%} and modes up to {mode_spread:.1%} off ('gain_spread' "
+        f"and 'mode_spread'), costs {rounded(cost)} dB of it."
+    )
+    return replace(result, status=Status(result.status.word, f"{result.status.sentence} {said}"))
 
 
 def _unless_idle(
