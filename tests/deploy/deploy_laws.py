@@ -16,17 +16,20 @@ def block(pole):
     return np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
 
 
-def law_in_words(rng, word, states, inputs=6, outputs=6, quiet=1.0, **settings):
-    """The first law drawn that whole numbers of a word's length hold, also `quiet` times as loud."""
+def law_in_words(rng, word, states, inputs=6, outputs=6, quiet=1.0, drowned=True, **settings):
+    """The first law drawn that whole numbers of a word's length hold, also `quiet` times as loud.
+
+    Without `drowned`, one in which neither's rounding fills the range of the commands.
+    """
     for _ in range(TRIES):
         law = random_law(rng, states, inputs, outputs)
         soft = StateSpace(law.A, law.B, quiet * law.C, quiet * law.D, rate_hz=RATE_HZ)
         try:
-            for each in (law, soft):
-                fixed_law(each, word, **RANGES, **settings)
+            fixed = [fixed_law(each, word, **RANGES, **settings) for each in (law, soft)]
         except InputError:  # a row that sums to too much, a pole too near the circle for its coefficients
             continue
-        return law
+        if drowned or all(each.noise_v.max() < each.output_v for each in fixed):
+            return law
     raise AssertionError(f"{word} holds none of {TRIES} drawn laws")
 
 
