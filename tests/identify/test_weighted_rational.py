@@ -45,6 +45,7 @@ def bound(exact, f_hz):
 
 
 @pytest.mark.slow
+@pytest.mark.draws(false_alarm=3e-3)  # the mean coverage of thirty draws is 95.1 %, their spread 0.63 %: three sigma
 @pytest.mark.parametrize(("rate_hz", "channels"), [(RATE_HZ, 1), (None, 1), (RATE_HZ, 2)])
 def test_the_cramer_rao_bound_is_reached_and_bands_cover(rate_hz, channels, rng):
     """100 draws and more, over several plants: the errors of one fit's lines are alike, so that draws count."""
