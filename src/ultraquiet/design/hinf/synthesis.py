@@ -252,7 +252,9 @@ def _completed(
     )
     status = Status(StatusWord.OK, said) if formed.status.ok else formed.status
     optimum = (0.0, best)
-    return replace(formed, status=status, details={**formed.details, "optimum": optimum, "regularised": cost})
+    return replace(
+        formed, status=status, details={**formed.details, "optimum": optimum, "decided": False, "regularised": cost}
+    )
 
 
 def _asked(v: Verifier, gamma: float) -> DesignResult:

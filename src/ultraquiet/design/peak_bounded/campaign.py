@@ -119,13 +119,16 @@ class SearchFromStarts:
         self._pool = self._drawn(1.0)
         working: list[Scenario] = []
         best: tuple[ControllerStructure, SearchEnd] | None = (law, ends[0])
-        if any(excess > FAR_DB for _, excess in self._stand(law, ends[0].theta, self._pool)):
-            best = self._grown(law, ends[0], given, progress)
-        for _ in range(WIDENINGS):
-            theta = best[1].theta
-            worth = [worth for worth, _ in self._stand(law, theta, self._pool)]
+        for turn in range(WIDENINGS):
+            stands = self._stand(law, best[1].theta, self._pool)
+            if turn == 0 and any(excess > FAR_DB for _, excess in stands):
+                best = self._grown(law, ends[0], given, progress)
+                stands = self._stand(law, best[1].theta, self._pool)
+            theta, worth = best[1].theta, [worth for worth, _ in stands]
             limit = _worth(best[1].standing) + WORSE_DB
-            more = [i for i in np.argsort(worth)[::-1] if worth[i] > limit and self._pool[i] not in working][:JOIN]
+            more = [
+                i for i in np.argsort(worth, kind="stable")[::-1] if worth[i] > limit and self._pool[i] not in working
+            ][:JOIN]
             if not more:
                 break
             working += [self._pool[i] for i in more]
@@ -145,7 +148,7 @@ class SearchFromStarts:
         for share in SHARES:
             pool = self._drawn(share)
             worth = [worth for worth, _ in self._stand(law, best[1].theta, pool)]
-            worst = [pool[i] for i in np.argsort(worth)[::-1][:JOIN]]
+            worst = [pool[i] for i in np.argsort(worth, kind="stable")[::-1][:JOIN]]
             best = self._searched(law, best[1].theta, [*given, *worst], self.steps // 4, progress) or best
         return best
 

@@ -89,7 +89,7 @@ def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> 
         if high <= shown * (1 + OPEN):
             break
         # equations that cannot be solved at a level may be solved above it, for a law that gives less than that level
-        calm = softened(v, margin) or calm
+        calm = softened(v, v.best, margin) or calm
         _tried(v, [high * factor for factor in ABOVE])
         high = v.best.achieved * scale
         if high > before * (1 - CLOSE):

@@ -17,9 +17,8 @@ WEIGHTS = tuple(float(w) for w in 10.0 ** np.arange(-1.0, -8.1, -0.5))
 SHARE = 1e-3  # of the best norm found, which the weight chosen may cost
 PATIENCE = 4  # weights in turn that bring nothing before the search ends
 FINE = 1e-4  # relative width of each search
-SOFT = tuple(
-    float(w) for w in 10.0 ** np.arange(-2.0, -6.1, -0.5)
-)  # likewise, where the problem is only nearly singular
+# The same where a problem is only nearly singular.
+SOFT = tuple(float(w) for w in 10.0 ** np.arange(-2.0, -6.1, -0.5))
 AT = 1.00003  # times the level, where the law is formed that tells what a weight costs
 
 
@@ -107,26 +106,25 @@ def _with(
     return None
 
 
-def softened(v: Verifier, margin: float) -> Reached | None:
+def softened(v: Verifier, best: Reached, margin: float) -> Reached | None:
     """Return what a problem with small weights on controls and measurements gives of the problem itself.
 
     For a search that ended open: where control costs next to nothing beside the rest, the equations lose their digits,
-    and a law of another problem whose norm is verified is worth more than none. The best law found joins `v.best`; what
-    is returned was formed at `margin` times the level of the best weight, None where none came below what was known.
+    and a law of another problem whose norm is verified is worth more than none. A law better than the best one known
+    takes its place in `v.best`; what is returned was formed at `margin` times the level of its weight, None where no
+    weight gave one.
     """
-    before = np.inf if v.best is None else v.best.achieved
-    norms: list[float] = []
-    calm = None
+    expected, norms, calm = best.achieved * v.problem.level, list[float](), None
     for weight in SOFT:
         try:
             other = Verifier(v.P, v.problem, completed(v.even, v.ny, v.nu, weight, states=False), v.ny, v.nu)
-            level = search(other.plant, FINE, before * v.problem.level if np.isfinite(before) else None).best
+            level = search(other.plant, FINE, expected).best
         except (NumericalError, LinAlgError):
             continue
         found = None if level.reason else other.at(level.gamma * AT, level)
         norms.append(np.inf if found is None else found.achieved)
-        if found is not None and (v.best is None or found.achieved < v.best.achieved):
-            v.best = found._replace(level=None)
+        if found is not None and found.achieved < best.achieved:
+            v.best = best = found._replace(level=None)
             calm = other.at(level.gamma * margin) if margin > AT else None
         elif min(norms[-2:]) > min(norms) and min(norms) < np.inf:
             break  # two in turn that were worse: digits are lost again
