@@ -14,7 +14,6 @@ from ultraquiet.simulate import measure_sensitivity, tune_in_place
 
 BAND_HZ, UNITS = (10.0, 100.0), ("ground", "flight")
 QUIET_DB, PEAK_DB = 18.0, 6.5
-KNOWN = (7001, 7012)  # the gate's draw and one more
 BESIDE_DB = 1.0  # by which what is measured may fall short of what the models say
 
 
@@ -39,13 +38,14 @@ def test_another_hexapod_is_another_plant_and_the_same_one_for_a_seed():
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("geometry", [None, 7012])
+@pytest.mark.parametrize(
+    "geometry",
+    # a stack's resonance a half as high again, at 1.5 kHz, costs 3 to 6 dB, for the study's law stands modes 3 % off:
+    # of ten geometries drawn six reach 18 dB, the others 14.9 to 17.7
+    [pytest.param(None, marks=pytest.mark.draws(false_alarm=0.5)), 7012],
+)
 def test_the_same_study_quietens_another_hexapod(seed, geometry):
-    """18 dB on the gate's draw, and on 7012, whose search once ended at half a decibel; on others what it promises.
-
-    A stack's resonance a half as high again, at 1.5 kHz, costs 3 to 6 dB, for the study's law stands modes 3 % off: of
-    ten geometries drawn six reach 18 dB, the others 14.9 to 17.7.
-    """
+    """Of 7012 the search once ended at half a decibel."""
     drawn = 7000 + seed if geometry is None else geometry
     benches = [OtherHexapod(unit=unit, seed=seed, hysteresis=True, geometry_seed=drawn) for unit in UNITS]
     identify = Rational(zeros_at_dc=1)
@@ -61,7 +61,7 @@ def test_the_same_study_quietens_another_hexapod(seed, geometry):
         found[unit] = read.worst_in_band_db(*BAND_HZ), read.peak_amplification_db()
         print(f"{unit}: {found[unit][0]:.2f} dB at {found[unit][1]:.2f} dB of peak; {truth:.2f} dB on the truth")
     assert result.status.ok, result.status
-    promised = QUIET_DB if drawn in KNOWN else min(QUIET_DB, result.details["attenuation_db"] - BESIDE_DB)
     for quiet, peak in found.values():
-        assert quiet >= promised
+        assert quiet >= result.details["attenuation_db"] - BESIDE_DB
+        assert quiet >= QUIET_DB
         assert peak <= PEAK_DB
