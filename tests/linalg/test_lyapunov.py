@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.equations import lyapunov, lyapunov_both, stein, stein_factor
@@ -173,3 +174,14 @@ def test_a_term_that_is_faint_is_not_the_last_where_a_chain_makes_much_of_it(rng
     assert np.trace(X) > 4  # of which x1 alone makes one
     for Y in (found, factor @ factor.T):
         np.testing.assert_allclose(Y, X, atol=1e-4 * X.max())
+
+
+def test_states_that_count_for_little_keep_their_digits_beside_those_that_count_for_much(rng):
+    """No scaling brings parts together that do not meet; what an output reads of the lesser may be all that counts."""
+    fast, slow = (r * np.linalg.qr(rng.standard_normal((3, 3)))[0] for r in (0.2, 0.9))
+    A, B = block_diag(fast, slow), np.vstack([rng.standard_normal((3, 2)), 1e-12 * rng.standard_normal((3, 2))])
+    solved, R = stein(A, B @ B.T), stein_factor(A, B)
+    for part, r in ((slice(0, 3), 0.2), (slice(3, 6), 0.9)):
+        exact = np.sum(B[part] ** 2) / (1 - r**2)  # trace of the sum of A^k B B' A'^k, A orthogonal but for r
+        for X in (solved, R @ R.T):
+            np.testing.assert_allclose(np.trace(X[part, part]), exact, rtol=1e-12)

@@ -111,7 +111,7 @@ def stein(A: Array, Q: Array) -> Array:
         size = float(np.linalg.norm(X))
         if not np.isfinite(size):
             break
-        if _is_last(E, step, size):
+        if np.linalg.norm(step) <= ROUND_OFF * size * len(A) and _is_last(E, step, X):
             return symmetric(X) * np.outer(d, d)
         E = E @ E
     return _mapped(A, Q) * np.outer(d, d)
@@ -136,11 +136,11 @@ def stein_factor(A: Array, B: Array) -> Array:
     E, R = A, B
     for _ in range(DOUBLINGS):
         step = E @ R
-        size = np.hypot(np.linalg.norm(R), np.linalg.norm(step))
+        left, size = np.linalg.norm(step), np.hypot(np.linalg.norm(R), np.linalg.norm(step))
         if not np.isfinite(size):
             break
         R = np.asarray(np.linalg.qr(np.hstack([R, step]).T, mode="r")).T
-        if _is_last(E, step, size):
+        if left <= ROUND_OFF * size and _is_last_of_factor(E, step, R):
             return np.hstack([R, np.zeros((n, n - R.shape[1]))]) * d[:, None]
         E = E @ E
     values, V = np.linalg.eigh(_mapped(A, B @ B.T))
@@ -173,14 +173,31 @@ def _mapped(A: Array, Q: Array) -> Array:
     return X
 
 
-def _is_last(E: Array, step: Array, size: float) -> bool:
-    """Return whether nothing is left of a series after a step by E, the power of A that its terms are apart.
+def _is_last(E: Array, step: Array, X: Array) -> bool:
+    """Return whether nothing is left of a series X after a step by E, the power of A that its terms are apart.
 
-    What follows is sum_i E^i step E'^i, i > 0: of a step of size zero nothing, of a faint one next to nothing as soon
-    as E contracts. Until then a chain of states may make as much of it as of any step before.
+    Each entry is held against its own states: what counts for much further on may be small beside the others.
     """
-    left = float(np.linalg.norm(step))
-    return left == 0 or (left <= ROUND_OFF * size and bool(np.linalg.norm(E) <= CONTRACTED))
+    size = np.sqrt(np.abs(np.diag(X)))
+    return bool(np.all(np.abs(step) <= ROUND_OFF * np.outer(size, size))) and _contracts(E, size)
+
+
+def _is_last_of_factor(E: Array, step: Array, R: Array) -> bool:
+    """Return the same of a factor R of the series and of the step."""
+    size = np.linalg.norm(R, axis=1)
+    return bool(np.all(np.linalg.norm(step, axis=1) <= ROUND_OFF * size)) and _contracts(E, size)
+
+
+def _contracts(E: Array, size: Array) -> bool:
+    """Return whether E contracts states taken over their sizes; one of size zero must be reached from nowhere.
+
+    What follows a step is sum_i E^i step E'^i, i > 0: of a faint one next to nothing as soon as E contracts. Until then
+    a chain of states may make as much of it as of any step before.
+    """
+    carried, there = E * size, size > 0
+    if np.any(carried[~there]):
+        return False
+    return bool(np.linalg.norm(carried[there] / size[there, None]) <= CONTRACTED)
 
 
 def _balanced(A: Array, Q: Array, who: str) -> tuple[Array, Array, Array]:
