@@ -95,9 +95,10 @@ def test_a_default_stands_what_ok_promises(seed, design, shape):
         pytest.param(BandAttenuation, (2, 3), marks=pytest.mark.draws(false_alarm=0.06)),
         # three of fifty such plants end short, by 0.1 to 3 dB; ok on nine of ten is promised
         pytest.param(PeakBounded, (1, 1), marks=pytest.mark.draws(false_alarm=0.1)),
-        pytest.param(PeakBounded, (3, 5), marks=pytest.mark.slow),
-        (FixedStructure, (2, 2)),
-        pytest.param(FixedStructure, (4, 3), marks=pytest.mark.slow),
+        # one of a hundred each ends at 1 to 4 dB, where another search finds more
+        pytest.param(PeakBounded, (3, 5), marks=[pytest.mark.slow, pytest.mark.draws(false_alarm=0.02)]),
+        pytest.param(FixedStructure, (2, 2), marks=pytest.mark.draws(false_alarm=0.02)),
+        pytest.param(FixedStructure, (4, 3), marks=[pytest.mark.slow, pytest.mark.draws(false_alarm=0.02)]),
     ],
 )
 def test_a_default_is_ok_and_quiet(seed, design, shape):
