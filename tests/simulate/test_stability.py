@@ -95,8 +95,10 @@ def test_growth_that_stands_among_what_noise_rings_is_not_called_settled():
     assert check.status.word == "unstable"
 
 
+# Of 640 such loops at the larger noise 13 are not known, most of them for noise alone, and of four then one in twelve
+# draws; at the smaller none of 240.
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.003, 0.03])
+@pytest.mark.parametrize("noise", [0.003, pytest.param(0.03, marks=pytest.mark.draws(false_alarm=0.08))])
 def test_further_records_throw_no_slow_pair_into_its_limits(rng, noise):
     """A pair that needs two minutes to decay: bursts of other phases reach it otherwise than the first."""
     for _ in range(4):
