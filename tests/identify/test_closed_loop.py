@@ -5,6 +5,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
+from ultraquiet.linalg.portmanteau import fed_back
 
 RATE_HZ = 1000.0
 SHORT, LONG, RECORDS = 3000, 48_000, 4
@@ -25,14 +26,14 @@ GAIN = np.array([[0.3, 0.1], [-0.2, 0.2], [0.1, -0.3], [0.2, 0.1]])  # of the in
 LAW = -0.6 * np.array([[1.0, 0.4], [0.3, 1.0]])  # u(t) = LAW y(t - 1) + r(t)
 
 
-def looped(system, n, rng, law=LAW, noise=0.3, excitation=3.0):
-    """A record of the plant under u = r + law y, one sample late."""
+def looped(system, n, rng, law=LAW, noise=0.3, excitation=3.0, late=True):
+    """A record of the plant under u = r + law y, one sample late or at once."""
     r, e = excitation * rng.standard_normal((2, n)), noise * rng.standard_normal((2, n))
     u, y = np.zeros((2, n)), np.zeros((2, n))
     x, last = np.zeros(system.states), np.zeros(2)
     for t in range(n):
         y[:, t] = system.C @ x + e[:, t]
-        u[:, t] = r[:, t] + law @ last
+        u[:, t] = r[:, t] + law @ (last if late else y[:, t])
         last = y[:, t]
         x = system.A @ x + system.B @ u[:, t] + GAIN @ e[:, t]
     return uq.Record(u, y, RATE_HZ)
@@ -71,6 +72,51 @@ def test_the_predictor_form_is_consistent_where_the_ordinary_one_is_not(rng):
         assert errors[name, LONG] < errors[name, SHORT] / 1.5  # a few records tell a root mean square to a third
     assert errors["refined", LONG] < errors["PO-MOESP", LONG] / 2
     assert errors["PO-MOESP", LONG] > errors["PO-MOESP", SHORT] / 2
+
+
+@pytest.mark.draws(false_alarm=4e-3)  # two p-values of both outputs at a thousandth each
+@pytest.mark.parametrize("late", [True, False])
+def test_what_a_loop_makes_of_an_error_is_nothing_that_the_model_misses(rng, late):
+    """Inputs later in the same block of samples, or in the same sample, answer the errors there."""
+    truth = plant()
+    record = looped(truth, 40_000, rng, noise=1.0, late=late)
+    result = uq.identify.PredictorSubspace(order=4).identify(record)
+    print(f"\nerror of the response {off(result.model, truth):.3f}: {result.status}")
+    assert result.status.ok
+
+
+def colored(n, rng, inputs=2):
+    r = rng.standard_normal((inputs, n))
+    for t in range(1, n):
+        r[:, t] += 0.8 * r[:, t - 1]
+    return r
+
+
+@pytest.mark.draws(false_alarm=0.02)  # a loop that is none is told at a level of a hundredth
+def test_a_feedthrough_that_was_left_out_is_missed_where_no_loop_answers(rng):
+    truth, n = plant(), 20_000
+    u = rng.standard_normal((2, n))
+    y = truth.simulate(u) + np.array([[0.03, 0.0], [0.0, 0.0]]) @ u + 0.3 * rng.standard_normal((2, n))
+    settings = {"order": 4, "feedthrough": False}
+    result = uq.identify.PredictorSubspace(**settings).identify(uq.Record(u, y, RATE_HZ))
+    assert result.status.word == "not white"
+    result = uq.identify.PredictorSubspace(**settings | {"feedthrough": True}).identify(uq.Record(u, y, RATE_HZ))
+    assert result.status.ok
+
+
+@pytest.mark.draws(false_alarm=0.01)  # its level
+def test_inputs_after_errors_tell_a_loop_whatever_colour_they_have(rng):
+    """The model misses what an input does at once; only in a loop do later inputs know of the rest of the errors."""
+    n = 20_000
+    u = 1e6 * colored(n, rng)
+    missed = 1e-9 * rng.standard_normal(n) + 3e-16 * u[0]
+    assert fed_back(missed, u).p_value > 0.01
+    u[0, 1:] += 1e14 * missed[:-1]
+    assert fed_back(missed, u).p_value < 1e-3
+
+
+def test_a_record_too_short_for_it_tells_no_loop(rng):
+    assert fed_back(rng.standard_normal(300), rng.standard_normal((2, 300))).p_value == 1.0
 
 
 @pytest.mark.draws(false_alarm=4e-3)  # `ok` asks two p-values of both outputs, each of which may be below 1e-3

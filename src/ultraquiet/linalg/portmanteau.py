@@ -6,10 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.lagged import Lagged
 
 # Directions of the input's lagged covariance weaker than this share of the strongest carry no evidence.
 EXCITED_SHARE = 1e-8
 BLOCKS_PER_LAG = 10  # block means a test needs for each of its lags
+REACH = 10  # samples before and after an error, at which a loop is looked for
+SAMPLES_EACH = 10  # that each coefficient takes there
 NEAR_ONE = 1e-9  # a pole no further from the circle, or from one, is on it
 # A noise model rings where it has a mode of less damping that adds so much to the variance of its innovations.
 RINGING_DAMPING, RINGING_SHARE = 0.02, 0.05
@@ -81,18 +84,57 @@ def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: in
     )
 
 
-class InputTests:
-    """Tests that white errors hold nothing of inputs `(nu, n)`: `cross_correlation`, each input's part found once."""
+def fed_back(e: FloatArray, inputs: FloatArray) -> Evidence:
+    """Return the test that inputs `(nu, n)` hold nothing of white errors `(n,)` before them: there is no loop.
 
-    def __init__(self, inputs: FloatArray, lags: int) -> None:
-        self.inputs, self.lags = inputs - inputs.mean(axis=1, keepdims=True), lags
-        self._n = inputs.shape[1]
+    In e(t) = sum_k b_k u(t - k), k = -10 .. 10, the b_k of later inputs are zero in an open loop, whatever colour
+    inputs have and whatever a model misses of them (Sims 1972).
+    """
+    sums = Lagged(1 + len(inputs), min(2 * REACH, e.size - 1))
+    sums.add(np.vstack([e[None], inputs]))
+    return fed_back_of(sums.products(centred=True) / e.size, e.size)
+
+
+def fed_back_of(r: FloatArray, n: int) -> Evidence:
+    """Return the same test from means over n samples of z(t) z(t + k)', k from zero, z = [e, u]; 1 of too few lags."""
+    nu = r.shape[1] - 1
+    if len(r) <= 2 * REACH or n < SAMPLES_EACH * nu * (2 * REACH + 1):
+        return Evidence(0.0, 1, 1.0)
+    size = np.sqrt(np.maximum(np.diag(r[0]), np.finfo(float).tiny))
+    r = r / np.outer(size, size)
+    after, before = range(-REACH, 0), range(REACH + 1)
+
+    def shared(one: range, other: range) -> FloatArray:
+        return np.block([[r[j - i, 1:, 1:].T if j >= i else r[i - j, 1:, 1:] for j in other] for i in one])
+
+    def with_error(delays: range) -> FloatArray:
+        return np.concatenate([r[k, 1:, 0] if k >= 0 else r[-k, 0, 1:] for k in delays])
+
+    known = shared(after, before) @ np.linalg.pinv(shared(before, before), rcond=EXCITED_SHARE, hermitian=True)
+    own = shared(after, after) - known @ shared(before, after)
+    values, vectors = np.linalg.eigh((own + own.T) / 2)
+    told = values > EXCITED_SHARE  # of unit variance
+    left = vectors[:, told].T @ (with_error(after) - known @ with_error(before))
+    return chi_squared(float(n * np.sum(left**2 / values[told])), max(1, int(told.sum())))
+
+
+class InputTests:
+    """Tests that white errors hold nothing of inputs `(nu, n)`: `cross_correlation`, each input's part found once.
+
+    `delayed` leaves the inputs of an error's own sample out.
+    """
+
+    def __init__(self, inputs: FloatArray, lags: int, delayed: bool = False) -> None:
+        self._first = int(delayed)
+        inputs, self.lags = inputs[:, : inputs.shape[1] - self._first], lags - self._first
+        self.inputs = inputs - inputs.mean(axis=1, keepdims=True)
+        self._n, lags = inputs.shape[1], self.lags
         index = np.abs(np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :])
         self._excited = [_excited(_lagged(u, u, lags)[index] / self._n) for u in self.inputs]
 
     def p_value(self, e: FloatArray) -> float:
         """Return the p-value that e is free of the inputs, that of the least over them."""
-        e = e - e.mean()
+        e = e[self._first :] - e[self._first :].mean()
         power = float(e @ e) / self._n
         if power == 0.0:
             return 1.0
@@ -103,12 +145,15 @@ class InputTests:
         )
 
 
-def free_of_inputs(e: FloatArray, inputs: FloatArray, lags: int, residual_lags: int = 0, span: int = 0) -> float:
+def free_of_inputs(
+    e: FloatArray, inputs: FloatArray, lags: int, residual_lags: int = 0, span: int = 0, delayed: bool = False
+) -> float:
     """Return the p-value that e holds nothing of any input within `lags` samples, nor within `span` of them.
 
     What a slow mode leaves is spread over its whole period and shows at no single lag. So the means of e and u over
     blocks of samples are tested too, the blocks so long that as many lags of them reach across the span; the means of
-    white noise are white. What rings on for many spans may still pass for colour of the noise.
+    white noise are white. What rings on for many spans may still pass for colour of the noise. Inputs of the same
+    block are left out: in a loop some of them come after the errors, and answer them.
 
     Args:
         e: `(n,)` errors.
@@ -116,12 +161,14 @@ def free_of_inputs(e: FloatArray, inputs: FloatArray, lags: int, residual_lags: 
         lags: of each test.
         residual_lags: of e's own correlation, taken into account; 0 takes e as white.
         span: samples to look back, such as the period of the slowest mode.
+        delayed: whether inputs of the same sample are left out as well.
     """
-    values = [cross_correlation(e, u, lags, residual_lags).p_value for u in inputs]
+    now, before = e[int(delayed) :], inputs[:, : e.size - int(delayed)]
+    values = [cross_correlation(now, u, lags - int(delayed), residual_lags).p_value for u in before]
     block = min(-(-span // max(1, lags)), e.size // (BLOCKS_PER_LAG * max(1, lags)))
     if block > 1:
-        slow, memory = _block_means(e, block), min(residual_lags, e.size // block // 10)
-        values += [cross_correlation(slow, _block_means(u, block), lags, memory).p_value for u in inputs]
+        slow, memory = _block_means(e, block)[1:], min(residual_lags, e.size // block // 10)
+        values += [cross_correlation(slow, _block_means(u, block)[:-1], lags - 1, memory).p_value for u in inputs]
     return sidak(values)
 
 

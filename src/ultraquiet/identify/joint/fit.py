@@ -10,6 +10,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet.identify import chance
+from ultraquiet.identify.feedback import free_of_inputs
 from ultraquiet.identify.joint.initial_models import starts
 from ultraquiet.identify.joint.search import JointMinimum, Part, Problem, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.damping_policy import CONVERGED
@@ -125,7 +126,7 @@ def residual_tests(problem: Problem, residuals: Sequence[FloatArray], members: S
         lags = min(TEST_LAGS, e.size // 10)
         total += portmanteau.ljung_box(e, lags).statistic
         lags_all, crowded = lags_all + lags, crowded + lags * lags / e.size
-        free += [portmanteau.cross_correlation(e, x, lags).p_value for x in u]
+        free.append(free_of_inputs(e, u, lags, min(problem.parts[k].parameterisation.delay) > 0))
     white = portmanteau.whiteness_evidence(total, lags_all, crowded / lags_all).p_value
     return white, portmanteau.sidak(free)
 

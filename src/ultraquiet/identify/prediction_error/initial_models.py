@@ -45,7 +45,7 @@ class ChannelData:
         self._subspaces: dict[int, tuple[FloatArray, FloatArray] | None] = {}
         self.searched: dict[Hashable, Any] = {}
         self.numerators: dict[Hashable, FloatArray] = {}  # of the plants that starts begin with, by their poles
-        self._tests: dict[int, portmanteau.InputTests] = {}
+        self._tests: dict[tuple[int, bool], portmanteau.InputTests] = {}
         self.start: PolynomialModel | None = None
 
     @classmethod
@@ -73,11 +73,11 @@ class ChannelData:
         """Inputs and output without their means."""
         return self.u - self.u.mean(axis=1, keepdims=True), (self.y - self.y.mean())[None]
 
-    def tests_of_inputs(self, lags: int) -> portmanteau.InputTests:
-        """Return the tests that residuals hold nothing of the inputs within so many lags."""
-        if lags not in self._tests:
-            self._tests[lags] = portmanteau.InputTests(self.u, lags)
-        return self._tests[lags]
+    def tests_of_inputs(self, lags: int, delayed: bool = False) -> portmanteau.InputTests:
+        """Return the tests that residuals hold nothing of the inputs within so many lags, their own sample's or not."""
+        if (lags, delayed) not in self._tests:
+            self._tests[lags, delayed] = portmanteau.InputTests(self.u, lags, delayed)
+        return self._tests[lags, delayed]
 
     def poles(self, order: int, rows: int) -> ComplexArray | None:
         """Return the poles of the subspace model with `rows` block rows; None when the record does not carry them."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.feedback import unless_answered
 from ultraquiet.identify.prediction_error.damping_policy import CONVERGED, RUNNING
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.initial_models import (
@@ -193,8 +194,15 @@ def run_search(
 
 def residual_tests(found: Found, data: ChannelData, structure: Structure) -> tuple[float, float]:
     """Return the p-values that the residual is white, and that neither it nor the noise model holds of the inputs."""
-    e = found.residual
-    return whiteness(e, structure), min(data.tests_of_inputs(_test_lags(e)).p_value(e), found.plant_whole_p)
+    e, lags = found.residual, _test_lags(found.residual)
+    free = data.tests_of_inputs(lags).p_value(e)
+    if structure.delay > 0:
+        free = unless_answered(
+            free,
+            lambda: data.tests_of_inputs(lags, delayed=True).p_value(e),
+            lambda: portmanteau.fed_back(e, data.u).p_value,
+        )
+    return whiteness(e, structure), min(free, found.plant_whole_p)
 
 
 def whiteness(e: FloatArray, structure: Structure) -> float:
@@ -209,7 +217,7 @@ def noise_rings(table: FloatArray, structure: Structure) -> bool:
 
 def fed_back(e: FloatArray, u: FloatArray) -> bool:
     """Return whether innovations are heard in the inputs after them: what a model misses follows such inputs anyway."""
-    return portmanteau.InputTests(u[:, ::-1], _test_lags(e)).p_value(e[::-1]) < SIGNIFICANCE
+    return portmanteau.fed_back(e, u).p_value < SIGNIFICANCE
 
 
 def _test_lags(e: FloatArray) -> int:

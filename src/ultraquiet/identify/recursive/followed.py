@@ -9,6 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import chance
+from ultraquiet.identify.feedback import free_of_inputs_in
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.damping_policy import CONVERGED
 from ultraquiet.identify.recursive.estimator import Recursion
@@ -67,11 +68,8 @@ def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_
     n, s = sums.samples, running.structure
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, s.a + s.c + s.d).p_value
-    inputs = range(1, r.shape[1] - 1)
-    free = portmanteau.sidak(
-        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in inputs
-    )
-    evidence = white, free
+    nu = r.shape[1] - 2
+    evidence = white, free_of_inputs_in(r[:, :-1, :-1], n, s.delay > 0)
     status = one_fit.verdict(CONVERGED, 0, evidence)
     if running.held > CUT_SHORT_SHARE * n:
         status = Status(
@@ -85,7 +83,7 @@ def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_
             "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
         )
     told = chance.explained_of(sums, -1, 0)
-    status = chance.unless_silent(status, told, n, len(running.coefficients) + len(inputs) * s.longest + 1, free)
+    status = chance.unless_silent(status, told, n, len(running.coefficients) + nu * s.longest + 1, evidence[1])
     m = running.model
     loss = float(sums.products()[0, 0, 0]) / n
     model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)

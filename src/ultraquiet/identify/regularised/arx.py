@@ -10,6 +10,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify import chance
+from ultraquiet.identify.feedback import free_of_inputs
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.identify.regularised.posterior import (
@@ -120,12 +121,7 @@ class RegularisedArx(RegularisedFit):
         ]
         lags = min(TEST_LAGS, residuals[0].size // 10)
         white = np.array([portmanteau.ljung_box(e, lags).p_value for e in residuals])
-        free = np.array(
-            [
-                portmanteau.sidak(portmanteau.cross_correlation(e, u[start:], lags).p_value for u in record.inputs)
-                for e in residuals
-            ]
-        )
+        free = np.array([free_of_inputs(e, record.inputs[:, start:], lags, self.delay > 0) for e in residuals])
         fits_percent, told = zip(*[_simulated(m, record, i) for i, m in enumerate(models)], strict=True)
         statuses = [
             _arx_verdict(m, f[2].converged, float(w), float(c), float(shares_of(e[None], y[None])[0]))

@@ -11,6 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify import chance
+from ultraquiet.identify.feedback import unless_answered
 from ultraquiet.identify.record_checks import parameters_carried
 from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, shares_of, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
@@ -78,8 +79,7 @@ def judged(
     v = data.y - system.simulated(data.u) if system.stable() else np.full_like(data.y, np.inf)
     e = system.errors(data.u, data.y)
     tested = e if search.predicts else v
-    span = portmanteau.slowest_period(np.linalg.eigvals(system.A).astype(np.complex128))
-    free = [free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS, span) for x in tested]
+    free = _free(system, tested, data.u, search.predicts)
     lags = min(TEST_LAGS, record.samples // 10)
     white = [portmanteau.ljung_box(x, lags).p_value for x in e]
     spare = spare_modes(system, data, search.predicts)
@@ -272,12 +272,27 @@ def growing(record: Record) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(growth(record.outputs) > GROWTH * level))
 
 
-def free_of_inputs(e: FloatArray, u: FloatArray, memory: int, span: int) -> float:
+def _free(system: System, tested: FloatArray, u: FloatArray, predicts: bool) -> list[float]:
+    """Return the p-values that errors are free of the inputs."""
+    span = portmanteau.slowest_period(np.linalg.eigvals(system.A).astype(np.complex128))
+    memory = 0 if predicts else RESIDUAL_LAGS
+    free = [free_of_inputs(x, u, memory, span) for x in tested]
+    if not predicts or np.any(system.D) or not np.isfinite(tested).all():
+        return free
+    return [
+        unless_answered(
+            p, lambda x=x: free_of_inputs(x, u, 0, span, delayed=True), lambda x=x: portmanteau.fed_back(x, u).p_value
+        )
+        for x, p in zip(tested, free, strict=True)
+    ]
+
+
+def free_of_inputs(e: FloatArray, u: FloatArray, memory: int, span: int, delayed: bool = False) -> float:
     """Return the p-value that e, `(n,)`, coloured over `memory` samples, holds nothing of the inputs `span` back."""
     if not np.all(np.isfinite(e)):
         return 0.0
     lags = min(TEST_LAGS, e.size // 10)
-    return portmanteau.free_of_inputs(e, u, lags, min(memory, e.size // 10), span)
+    return portmanteau.free_of_inputs(e, u, lags, min(memory, e.size // 10), span, delayed)
 
 
 def _verdict(

@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import chance
+from ultraquiet.identify.feedback import free_of_inputs_in
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error import race
@@ -123,10 +124,7 @@ def _evidence(
     data.products(point.table, point.past(), still, point.title, lambda u, _, e: sums.add(np.vstack([e[None], u])))
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, structure.a + structure.c + structure.d).p_value
-    free = portmanteau.sidak(
-        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
-    )
-    return (white, free), r[:, 0, 0]
+    return (white, free_of_inputs_in(r, n, structure.delay > 0)), r[:, 0, 0]
 
 
 def _colored_products(point: LongRecordPoint, r: FloatArray) -> FloatArray:
