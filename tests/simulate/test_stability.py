@@ -1,5 +1,6 @@
 """Verdicts of loops whose truth is known: growth however slow is seen, decay however slow is not feared."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -176,16 +177,16 @@ def test_refusals(slow_growth_law):
         uq.simulate.check_stability(bench, uq.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 3500.0))
 
 
-@pytest.mark.slow
-def test_drawn_loops_are_never_judged_wrongly(rng, cases):
-    """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records.
+@functools.lru_cache
+def judged_wrongly(seed, loops):
+    """Return how many loops with pairs of modulus 1 +- 1e-6 to 1e-3 are falsely ok, unstable, and not known.
 
-    Or where noise alone holds a loop at its limits for more than the hundredth of the time up to which it is taken for
-    the linear one: to say that such a loop settles would be false, what it does by itself is not seen, and it is
-    printed.
+    The latter where an e-fold takes less than ten records, and noise alone holds a loop at its limits for no more than
+    the hundredth of the time up to which it is taken for the linear one: to say that a loop settles would be false
+    beyond, what it does by itself is not seen, and it is printed.
     """
+    rng = np.random.default_rng(seed)
     false_ok = false_unstable = unknown = wrongly_unknown = 0
-    loops = cases(LOOPS)
     for _ in range(loops):
         apart = 10 ** rng.uniform(-6, -3) * rng.choice([-1, 1])
         loop = drawn_loop(
@@ -204,7 +205,20 @@ def test_drawn_loops_are_never_judged_wrongly(rng, cases):
                 f"{loop.clipped:.2g} of the time at its limits: {check.status}"
             )
     print(f"{loops} loops: {false_ok} false ok, {false_unstable} false unstable, {unknown} not known")
-    assert false_ok == false_unstable == wrongly_unknown == 0
+    return false_ok, false_unstable, wrongly_unknown
+
+
+@pytest.mark.slow
+def test_drawn_loops_are_never_judged_wrongly(seed, cases):
+    assert judged_wrongly(seed, cases(LOOPS))[:2] == (0, 0)
+
+
+# One of 800 loops rings by its noise alone so loudly that no burst allowed is heard above, or decays within three
+# deviations: of 40, the loops of a fresh draw, one in twenty times.
+@pytest.mark.slow
+@pytest.mark.draws(false_alarm=0.05)
+def test_what_is_not_known_of_drawn_loops_takes_ten_records_or_their_limits(seed, cases):
+    assert judged_wrongly(seed, cases(LOOPS))[2] == 0
 
 
 LEAST = 0.02  # V of a command, which every draw meets
