@@ -8,7 +8,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.linalg.portmanteau import fed_back
 
 RATE_HZ = 1000.0
-SHORT, LONG, RECORDS = 3000, 48_000, 4
+SHORT, LONG, RECORDS = 3000, 48_000, 12
 F_HZ = np.linspace(2.0, 200.0, 100)
 
 
@@ -48,7 +48,9 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+# Drawn again from the records of nine runs, twelve fall by less than 1.5 in one of 300 pairs.
 @pytest.mark.slow
+@pytest.mark.draws(false_alarm=5e-3)
 def test_the_predictor_form_is_consistent_where_the_ordinary_one_is_not(rng):
     truth = plant()
     methods = {
@@ -67,9 +69,10 @@ def test_the_predictor_form_is_consistent_where_the_ordinary_one_is_not(rng):
         print(
             f"{name:<10} error of the response {errors[name, SHORT]:.3f} -> {errors[name, LONG]:.3f}, falls {fall:.1f}"
         )
-    # sixteen times the samples: a quarter of the error, where there is no bias
+    # sixteen times the samples: a quarter of the error, where there is no bias, and a third where that of short ones is
+    # bounded by what stable models can be off
     for name in ("predictor", "refined"):
-        assert errors[name, LONG] < errors[name, SHORT] / 1.5  # a few records tell a root mean square to a third
+        assert errors[name, LONG] < errors[name, SHORT] / 1.5
     assert errors["refined", LONG] < errors["PO-MOESP", LONG] / 2
     assert errors["PO-MOESP", LONG] > errors["PO-MOESP", SHORT] / 2
 
