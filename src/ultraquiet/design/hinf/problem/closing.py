@@ -1,6 +1,5 @@
 """The smallest level that a verified controller keeps, and the highest that is shown to be out of reach."""
 
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -95,11 +94,20 @@ def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> 
         if high > before * (1 - CLOSE):
             break
         low = max(proven, shown)
-    # a controller a little off the optimum is the better one to build; one far off it is not what was asked for
-    routes = (v.at, v.beside) if margin > 1 + CLOSE else ()
-    calmer = chain([calm], (route(high * margin) for route in routes))
-    chosen = next((c for c in calmer if c is not None and c.keeps and c.achieved * scale <= high * margin), v.best)
+    chosen = (_calmer(v, v.best, calm, margin) if margin > 1 + CLOSE else None) or v.best
     return Closed(chosen, shown, high, high <= shown * (1 + OPEN))
+
+
+def _calmer(v: Verifier, best: Reached, calm: Reached | None, margin: float) -> Reached | None:
+    """Return a verified law formed at a margin over the optimum, None where there is none.
+
+    One a little off the optimum is the better one to build; one far off it is not what was asked for. Where equations
+    cannot be solved there, that of the softened problem is nearest to theirs; the other route forms another law.
+    """
+    limit = best.achieved * margin
+    level = limit * v.problem.level
+    routes = (lambda: v.at(level), lambda: calm or softened(v, best, margin), lambda: v.beside(level))
+    return next((c for route in routes if (c := route()) is not None and c.keeps and c.achieved <= limit), None)
 
 
 def _bisected(v: Verifier, low: float, high: float, shown: float) -> tuple[float, float, float]:

@@ -111,10 +111,10 @@ def softened(v: Verifier, best: Reached, margin: float) -> Reached | None:
 
     For a search that ended open: where control costs next to nothing beside the rest, the equations lose their digits,
     and a law of another problem whose norm is verified is worth more than none. A law better than the best one known
-    takes its place in `v.best`; what is returned was formed at `margin` times the level of its weight, None where no
-    weight gave one.
+    takes its place in `v.best`. Returned is the law at `margin` times the level of the largest weight that costs next
+    to nothing, which rounding does not choose; None where no weight gives a law.
     """
-    expected, norms, calm = best.achieved * v.problem.level, list[float](), None
+    expected, tried = best.achieved * v.problem.level, list[tuple[float, Verifier, float]]()
     for weight in SOFT:
         try:
             other = Verifier(v.P, v.problem, completed(v.even, v.ny, v.nu, weight, states=False), v.ny, v.nu)
@@ -122,10 +122,16 @@ def softened(v: Verifier, best: Reached, margin: float) -> Reached | None:
         except (NumericalError, LinAlgError):
             continue
         found = None if level.reason else other.at(level.gamma * AT, level)
-        norms.append(np.inf if found is None else found.achieved)
+        tried.append((np.inf if found is None else found.achieved, other, level.gamma))
+        norms = [norm for norm, _, _ in tried]
         if found is not None and found.achieved < best.achieved:
             v.best = best = found._replace(level=None)
-            calm = other.at(level.gamma * margin) if margin > AT else None
         elif min(norms[-2:]) > min(norms) and min(norms) < np.inf:
             break  # two in turn that were worse: digits are lost again
+    least = min((norm for norm, _, _ in tried), default=np.inf)
+    if margin <= AT or least == np.inf:
+        return None
+    enough = least * (1 + SHARE)
+    _, other, gamma = next(each for each in tried if each[0] <= enough)
+    calm = other.at(gamma * margin)
     return None if calm is None else calm._replace(level=None)
