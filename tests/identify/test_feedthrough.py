@@ -20,7 +20,9 @@ def recorded(rng, direct, noise=0.05, ny=3, nu=2, rate_hz=800.0):
     return plant, uq.Record(u, y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), rate_hz)
 
 
+# Schwarz's criterion finds one too many in 3 of 400 plants of one channel, the same three at either noise.
 @pytest.mark.gate("0.0-shape0", "0.5-shape1", "0.05-shape2")
+@pytest.mark.draws(false_alarm=0.01)
 @pytest.mark.parametrize("shape", [(1, 1), (3, 2), (2, 4)])
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.5])
 def test_a_direct_part_that_is_not_there_is_not_estimated(shape, noise, rng):

