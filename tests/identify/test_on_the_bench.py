@@ -48,7 +48,7 @@ class _Diagonal:
         return self.bench.linear_response(f_hz)[self.k : self.k + 1, self.k : self.k + 1]
 
 
-# Forty states for a flight unit of more: 5 of 40 draws are off by more than 10 %, by 10.4 % at most.
+# Forty states for a flight unit of more: 7 of 70 draws are off by more than 10 %, by 10.4 % at most.
 FLIGHT = pytest.param("flight", marks=pytest.mark.draws(false_alarm=0.15))
 
 
