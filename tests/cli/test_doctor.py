@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from ultraquiet.cli.doctor import speed
+from ultraquiet.deploy.toolchain.targets import families
 
 
 @pytest.mark.parametrize(
@@ -40,6 +41,7 @@ def test_what_is_well_needs_no_remedy(tmp_path):
 
 def test_the_command_prints_them(run):
     out = run("doctor")[1]
+    assert all(program in out for family, _ in families() for program in family.programs)
     for words in ("speed: linear algebra", "speed: compiled kernels", "speed: processors", "system"):
         assert words in out
 

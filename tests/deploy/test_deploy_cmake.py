@@ -105,14 +105,14 @@ def test_the_folder_is_whole_and_says_whose_it_is(law_of, tmp_path):
     print(sorted(held))
     assert {
         *("CMakeLists.txt", "README.md", "LICENSE", ".gitignore", ".github/workflows/ci.yml", "CONTROLLER.md"),
-        *("manifest.json", "vectors.csv", "cmake/cortex-m4f.cmake", "cmake/cortex-m7.cmake"),
+        *("manifest.json", "vectors.csv", *(f"cmake/{name}.cmake" for name in TARGETS)),
         *("src/controller.c", "src/controller.h", "src/controller_coefficients.h", "src/controller_selftest.c"),
     } <= held
     for path in made.folder.glob("controller*"):
         assert (project / "src" / path.name).read_bytes() == path.read_bytes()
     assert "belong to Strut & Sons." in (project / "LICENSE").read_text()
     workflow = (project / ".github/workflows/ci.yml").read_text()
-    assert "target: [cortex-m4f, cortex-m7]" in workflow
+    assert f"target: [{', '.join(TARGETS)}]" in workflow
     assert re.findall(r"\$\{\{ .*? \}\}", workflow) == ["${{ matrix.compiler }}", "${{ matrix.target }}"]
     assert not re.search(r"\t| $", workflow, re.M)
     assert {len(line) - len(line.lstrip()) for line in workflow.splitlines()} == {0, 2, 4, 6, 8}

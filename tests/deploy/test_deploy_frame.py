@@ -14,7 +14,7 @@ from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
 from ultraquiet.deploy.frame.settings import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
 from ultraquiet.deploy.toolchain import compiler
-from ultraquiet.deploy.toolchain.targets import missing_program
+from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.values import StateSpace
 
 T = 1.0 / RATE_HZ
@@ -300,7 +300,7 @@ def test_command_line_prints_time_line_and_table(made, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"processor": "dsp56k"}, "'frame_on' must be one of 'c31', 'cortex-m4f', 'cortex-m7', got 'dsp56k'"),
+        ({"processor": "dsp56k"}, f"'frame_on' must be one of {', '.join(map(repr, ('c31', *TARGETS)))}, got 'dsp56k'"),
         ({"frames": 0}, "'frames' must be between 1 and"),
         ({"load": 1.0}, "'load' must lie below 1"),
         ({"jitter_us": 300.0}, "a jitter of 300 us is not below the frame's 285.7 us"),

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,10 @@ from ultraquiet.deploy.toolchain import targets
 from ultraquiet.deploy.toolchain.cortex_m.processors import CORTEX_M
 from ultraquiet.deploy.toolchain.target import Memory, Target
 from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
+from ultraquiet.pipeline.making.code import deployed
+from ultraquiet.pipeline.report.code import code as code_section
+from ultraquiet.pipeline.tables.code import Deploy
+from ultraquiet.values import StateSpace
 
 # A part with another core on another board: other memory, and a SysTick of 20 MHz.
 CORTEX_M33 = Target(
@@ -45,6 +50,10 @@ CORTEX_M3 = Target(
 )
 
 
+BUILT_IN = list(TARGETS)
+UNLISTED = [target for target in (CORTEX_M33, CORTEX_M3) if target.name not in TARGETS]
+
+
 @pytest.fixture
 def emulated():
     absent = missing_program()
@@ -52,7 +61,7 @@ def emulated():
         pytest.skip(f"'{absent}' is not installed (Debian: {' '.join(CORTEX_M.packages)})")
 
 
-@pytest.fixture(params=[CORTEX_M33, CORTEX_M3], ids=lambda target: target.name)
+@pytest.fixture(params=UNLISTED, ids=lambda target: target.name)
 def another(request, monkeypatch):
     """The table with one more entry."""
     monkeypatch.setitem(TARGETS, request.param.name, request.param)
@@ -66,7 +75,7 @@ def test_a_new_cortex_m_is_one_entry_of_the_table(another, law_of, tmp_path):
     found = made.verify(steps=300, fuzz_steps=0)
     print(found.status, *found.targets, sep="\n")
     assert found.ok
-    assert [each.target.name for each in found.targets] == ["cortex-m4f", "cortex-m7", another.name]
+    assert [each.target.name for each in found.targets] == [*BUILT_IN, another.name]
     assert found.on(another.name).bit_exact
     assert found.on(another.name).flash_bytes > 0
     assert made.tables[f"{another.key}_instructions"] == found.on(another.name).step
@@ -81,12 +90,28 @@ def test_a_new_cortex_m_is_one_entry_of_the_table(another, law_of, tmp_path):
 
 @pytest.mark.gate("cortex-m33")
 @pytest.mark.usefixtures("emulated", "cc")
+def test_a_study_counts_on_the_new_one_and_its_report_says_so(another, law_of, tmp_path):
+    asked = Deploy(processors=[another.name])
+    law, limits = law_of(4, 3, 2), np.array([[-1.0, 1.0]] * 2)
+    plant = StateSpace([[0.5]], 1e-6 * np.ones((1, 2)), np.ones((3, 1)), np.zeros((3, 2)), law.rate_hz)
+    facts = deployed("calm", law, plant, limits, tmp_path, asked, []).facts
+    print(facts)
+    assert facts.instructions_on[another.name] > facts.output_instructions_on[another.name] > 0
+    study = SimpleNamespace(deploy=asked, paper=None)
+    section = code_section(SimpleNamespace(study=study, deployment={"calm": facts}, designs={}))
+    table = section.tables[0]
+    row = dict(zip(table.columns, table.rows[0], strict=True))
+    assert row[f"{another.title}, instructions a sample"] == str(facts.instructions_on[another.name])
+
+
+@pytest.mark.gate("cortex-m33")
+@pytest.mark.usefixtures("emulated", "cc")
 def test_makefile_and_project_build_for_the_new_one(another, law_of, tmp_path):
     made = generate(law_of(4, 2, 2), tmp_path / "code", form="modal", ramp_s=0.01)
     told = ran(["make", f"check-{another.name}"], made.folder)
     assert "self-test 0" in told
     project = write_project(made, tmp_path / "project")
-    assert f"cortex-m4f, cortex-m7, {another.name}]" in (project / ".github/workflows/ci.yml").read_text()
+    assert f"{', '.join(BUILT_IN)}, {another.name}]" in (project / ".github/workflows/ci.yml").read_text()
     if shutil.which("cmake") is None:
         pytest.skip("no cmake on this machine")
     for name in ("cortex-m7", another.name):
@@ -100,7 +125,8 @@ def test_without_it_no_file_knows_of_it(law_of, tmp_path):
     made = generate(law_of(4, 2, 2), tmp_path / "code", form="modal", ramp_s=0.01)
     write_project(made, tmp_path / "project")
     texts = [path.read_text() for path in tmp_path.rglob("*") if path.is_file()]
-    assert not any("m33" in text or "an505" in text for text in texts)
+    absent = [word for target in UNLISTED for word in (target.name, target.title, target.machine)]
+    assert not any(word in text for text in texts for word in absent)
 
 
 @pytest.mark.slow
@@ -123,7 +149,7 @@ def test_another_family_is_one_folder(law_of, tmp_path, monkeypatch):
         both = {target.name: target for target in targets.targets_in(room)}
     for name in [name for name in sys.modules if ".other_family" in name]:
         monkeypatch.delitem(sys.modules, name)
-    assert list(both) == ["cortex-m4f", "cortex-m7", "other-m4f", "other-m7"]
+    assert list(both) == [*BUILT_IN, *(name.replace("cortex", "other") for name in BUILT_IN)]
     for name, target in both.items():
         monkeypatch.setitem(TARGETS, name, target)
     made = generate(law_of(4, 2, 2), tmp_path / "code", form="modal", ramp_s=0.01)

@@ -64,7 +64,7 @@ def test_the_whole_proof(loop, seed, tmp_path):
     assert found.bench.loss_db.max() < 0.5
     tables = json.loads((tmp_path / "code" / "manifest.json").read_text())["tables"]
     assert tables == made.tables
-    assert tables["bit_exact_on"] == {"cortex-m4f": True, "cortex-m7": True}
+    assert tables["bit_exact_on"] == dict.fromkeys(TARGETS, True)
     assert tables["cortex_m4f_instructions"] == found.on("cortex-m4f").step
     latency = found.cortex_m7.output / 216e6
     assert tables["latency_us"]["cortex-m7"] == pytest.approx(1e6 * latency)
@@ -206,9 +206,8 @@ def test_missing_cross_tools_are_named_and_the_rest_is_done(law_of, seed, tmp_pa
     print(proof.status)
     assert proof.ok
     assert proof.targets == ()
-    assert proof.missing == (
-        "'arm-none-eabi-gcc' is not installed, so nothing was run or counted on Cortex-M4F and Cortex-M7.",
-    )
+    titles = " and ".join(target.title for target in TARGETS.values())
+    assert proof.missing == (f"'arm-none-eabi-gcc' is not installed, so nothing was run or counted on {titles}.",)
     assert proof.missing[0] in (tmp_path / "code" / "README.md").read_text()
 
 

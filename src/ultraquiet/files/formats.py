@@ -45,13 +45,7 @@ FORMATS = (
     Format("NumPy", (".npz",), read_npz),
     Format("universal file", (".uff", ".unv"), read_uff, write_uff, (("pyuff", "pyuff"),), scratch=True),
     Format("TDMS", (".tdms",), read_tdms, needs=(("nptdms", "npTDMS"), ("nptdms.log", "npTDMS"))),
-    Format(
-        "Parquet",
-        (".parquet",),
-        read_parquet,
-        write_parquet,
-        (("pyarrow.parquet", "pyarrow"), ("pyarrow.compute", "pyarrow")),
-    ),
+    Format("Parquet", (".parquet",), read_parquet, write_parquet, ARROW),
     Format("WAV", (".wav",), read_wav, needs=(("scipy.io.wavfile", "scipy"),)),
 )
 ARCHIVES = FORMATS[0].suffixes

@@ -8,13 +8,13 @@ from typing import Any
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import archive
 from ultraquiet.files.atomic import name_taken, write_bytes
-from ultraquiet.files.formats import ARCHIVES
+from ultraquiet.files.formats import ARCHIVES, FORMATS
 from ultraquiet.files.matlab_values import mat_image, read_mat_value
 from ultraquiet.files.packing import Value
 
 MATLAB = ".mat"
 ELSEWHERE = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".parquet"), "records go there by export_record"),
+    **{suffix: "records go there by export_record" for form in FORMATS if form.write for suffix in form.suffixes},
     **dict.fromkeys((".uff", ".unv"), "records go there by export_record, responses by export_frf"),
     **dict.fromkeys((".json", ".npz", ".pkl", ".pickle"), "this package does not write values so"),
 }

@@ -1,7 +1,7 @@
 """Room `plot`: figures as data, and their drawing.
 
-May be changed here: what a figure shows (`paper.py`, `evidence.py`, `spectra.py`, `loop.py`, `frame.py`) and how it
-looks (`draw.py`). Nothing is computed here beyond what a picture needs.
+May be changed here: what a figure shows (`evidence.py`, `spectra.py`, `loop.py`, `frame.py`, `study.py`, `objects`,
+`pages`) and how it looks (`draw.py`). Nothing is computed here beyond what a picture needs.
 """
 
 from ultraquiet._base.shown import show

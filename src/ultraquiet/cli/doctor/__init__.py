@@ -1,6 +1,7 @@
 """`ultraquiet doctor`: what is installed, what is missing, what is slow, how to mend it."""
 
 import shutil
+from collections.abc import Iterator
 from importlib import metadata
 
 from ultraquiet._base.errors import ToolError
@@ -30,11 +31,7 @@ OPTIONAL_PARTS = (
     ("distributed", "campaigns on a Dask cluster", "pip install distributed"),
     ("control", "python-control conversion", "pip install control"),
 )
-TOOLS = (
-    ("cc", "compiles and verifies generated controllers", "apt-get install gcc libc6-dev"),
-    ("arm-none-eabi-gcc", "cross-compiles for Cortex-M", "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi"),
-    ("qemu-system-arm", "counts Cortex-M instructions", "apt-get install qemu-system-arm"),
-)
+TOOLS = (("cc", "compiles and verifies generated controllers", "apt-get install gcc libc6-dev"),)
 
 
 def doctor() -> None:
@@ -45,7 +42,7 @@ def doctor() -> None:
         grid.add(name, _version(name) or "missing", "needed", "" if _version(name) else "make demo")
     for name, use, mend in OPTIONAL_PARTS:
         grid.add(name, _version(name) or "not installed", use, "" if _version(name) else mend)
-    for name, use, mend in TOOLS:
+    for name, use, mend in (*TOOLS, *_emulated()):
         path = shutil.which(name)
         grid.add(name, path or "missing", use, "" if path else mend)
     for row in speed.rows():
@@ -55,6 +52,16 @@ def doctor() -> None:
     missing = [name for name in PYTHON_PARTS if _version(name) is None]
     if missing:
         raise ToolError(f"doctor: {', '.join(missing)} missing, and needed; install this package again.")
+
+
+def _emulated() -> Iterator[tuple[str, str, str]]:
+    """Yield compiler and emulator of every family of processors: program, what it is for, how to get it."""
+    from ultraquiet.deploy.toolchain.targets import families
+
+    for family, members in families():
+        titles, mend = ", ".join(target.title for target in members), f"apt-get install {' '.join(family.packages)}"
+        yield family.compiler, f"cross-compiles for {titles}", mend
+        yield family.emulator, f"counts instructions on {titles}", mend
 
 
 def _version(name: str) -> str | None:

@@ -45,8 +45,9 @@ def write_project(made: GeneratedCode, folder: str | Path, owner: str = NOBODY) 
     >>> from ultraquiet.values import StateSpace
     >>> law = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
     >>> work = tempfile.mkdtemp()
-    >>> sorted(p.name for p in write_project(generate(law, work + "/code"), work + "/project").glob("cmake/*"))
-    ['cortex-m4f.cmake', 'cortex-m7.cmake']
+    >>> project = write_project(generate(law, work + "/code"), work + "/project")
+    >>> sorted(path.stem for path in project.glob("cmake/*")) == sorted(TARGETS)
+    True
     """
     folder, law = Path(folder).absolute(), made.law
     if getattr(law, "precision", "") not in DTYPES:

@@ -45,7 +45,11 @@ class Proved:
 
 @fact
 class CodeFacts(Proved):
-    """Stage `deploy`: see `deploy.Deployment.tables`; None is what could not be measured here."""
+    """Stage `deploy`: see `deploy.Deployment.tables`; None is what could not be measured here.
+
+    `instructions_on` and `output_instructions_on` hold what was counted on every processor of the study. Those of the
+    Cortex-M7 and M4F stand beside them once more, by the names that summaries have had from the first.
+    """
 
     states: int
     form: str
@@ -72,6 +76,8 @@ class CodeFacts(Proved):
     stack_bytes: int | None
     flash_from: str
     cortex_m7_output_instructions: int | None = None
+    instructions_on: Mapping[str, int] | None = None
+    output_instructions_on: Mapping[str, int] | None = None
     bit_exact_on: Mapping[str, bool] | None = None
     latency_us: Mapping[str, float] | None = None
     cortex_m4f_instructions: int | None = None

@@ -97,8 +97,22 @@ def generated(code: "Deployment | FixedDeployment", verification: str) -> CodeFa
     kind = WholeNumberFacts if isinstance(code, deploy.FixedDeployment) else CodeFacts
     names = [field.name for field in fields(kind) if field.name in code.tables]
     figures = {name: _known(code.tables[name]) for name in names}
+    if kind is CodeFacts:
+        figures |= {f"{what}_on": counted(code.tables, what) for what in ("instructions", "output_instructions")}
     formats = tuple(WordFormatFacts(**asdict(each), words=str(each)) for each in code.word_formats)
     return kind(**figures, word_formats=formats, status=str(code.status), verification=verification)
+
+
+def counted(tables: Mapping[str, Any], what: str) -> dict[str, int]:
+    """Return a count of `Deployment.tables` by the name of each processor that ran the code.
+
+    >>> counted({"cortex_m4f_instructions": 1719, "cortex_m7_instructions": None}, "instructions")
+    {'cortex-m4f': 1719}
+    """
+    from ultraquiet.deploy.toolchain.targets import TARGETS
+
+    counts = {name: tables.get(f"{target.key}_{what}") for name, target in TARGETS.items()}
+    return {name: count for name, count in counts.items() if count is not None}
 
 
 def _known(value: Any) -> Any:

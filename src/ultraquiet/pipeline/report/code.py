@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from ultraquiet.deploy.figures import figure_text, figure_words
-from ultraquiet.deploy.toolchain.targets import target_named
+from ultraquiet.deploy.toolchain.targets import TARGETS, target_named
 from ultraquiet.pipeline.facts.code import CodeFacts, NoCode, WholeNumberFacts
 from ultraquiet.pipeline.report.loops import reductions
 from ultraquiet.pipeline.result import StudyResult
@@ -41,7 +41,7 @@ def _columns(result: StudyResult, c31: bool) -> tuple[str, ...]:
     asked = result.study.deploy
     if asked.whole_numbers:
         return ("states", "form", *WHOLE_NUMBER_COLUMNS, "bit_exact")
-    counted = (f"{target_named(name).key}_instructions" for name in asked.processors)
+    counted = map(_instructions, asked.processors)
     return ("states", "form", *(C31_COLUMNS if c31 else ()), *counted, "flash_bytes", "ram_bytes", "bit_exact")
 
 
@@ -95,4 +95,11 @@ def _formats(codes: Sequence[CodeFacts | WholeNumberFacts]) -> list[tuple[str, t
 
 def _of_code(facts: CodeFacts | WholeNumberFacts | NoCode, column: str) -> str:
     """Return one fact of a law's code as its cell says it."""
-    return figure_text(getattr(facts, column, None))
+    on = (facts.instructions_on if isinstance(facts, CodeFacts) else None) or {}
+    counts = {_instructions(name): on[name] for name in TARGETS if name in on}
+    return figure_text(counts.get(column, getattr(facts, column, None)))
+
+
+def _instructions(processor: str) -> str:
+    """Return the name that the count of a processor has among the figures of a law's code."""
+    return f"{target_named(processor).key}_instructions"

@@ -23,7 +23,6 @@ from ultraquiet.workbench.web.pages.spectra import measured_of
 from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import Looker, View
 
-WHOLE = ("arx", "armax", "output-error", "box-jenkins", "subspace", "predictor-subspace", "rational")
 TRIED = list(range(1, 11))
 POINTS = 400
 HALVES = "grid-template-columns: minmax(0, 1fr) minmax(0, 1fr)"
@@ -73,7 +72,7 @@ class _Identify:
         self.period = field("period (samples)", "period", "", "none: one record that moves all inputs")
         self.units = field("further units of the bench", "units", "", "none; their names, with commas between")
         self.units.set_visibility("bench" in self.view.session.state["tables"])
-        self.form = MethodForm("identify", self._fitting(), names=list(WHOLE))
+        self.form = MethodForm("identify", self._fitting())
         self.name = field("name of the model", "model-name", "", "method and order")
         with ui.element("div").classes("uq-row"):
             button("Identify", self._identify, "identify", main=True)

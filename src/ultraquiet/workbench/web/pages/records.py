@@ -7,6 +7,7 @@ from typing import Any
 from nicegui import events, ui
 
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet.files.formats import FORMATS
 from ultraquiet.workbench.engine.making.imports import import_step, proposed_name, received
 from ultraquiet.workbench.engine.roles import guessed_roles
 from ultraquiet.workbench.figures.traces import traces
@@ -16,7 +17,7 @@ from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import Looker, View
 
 ROLES = ("input", "output", "leave out")
-SUFFIXES = "CSV, text, MAT, HDF5, UFF, TDMS, WAV, Parquet, NPZ"
+READ = ", ".join(form.name for form in FORMATS)
 TRAIN_SHARE = 0.6
 MOST_BYTES = 4 << 30
 NO_RATE = "states no sampling rate"
@@ -52,7 +53,7 @@ class _Drop:
         self.told: Callable[[], object] = lambda: None  # is called when one does
         self._looker = Looker(view)
         self._upload = upload = ui.upload(
-            on_upload=self._dropped, auto_upload=True, label=f"Drop a file here, or +  ({SUFFIXES})"
+            on_upload=self._dropped, auto_upload=True, label=f"Drop a file here, or +  ({READ})"
         )
         upload.props(f'flat bordered data-testid="drop" max-file-size="{MOST_BYTES}"').classes("uq-drop")
         self._place = ui.element("div").props('data-testid="columns"')
@@ -81,7 +82,7 @@ class _Drop:
         self._place.clear()
         with self._place:
             words(sentence, "doubt").props('data-testid="refused"')
-            words(f"What can be read: {SUFFIXES}. Mend the file or export it again, and drop it once more.", "caption")
+            words(f"What can be read: {READ}. Mend the file or export it again, and drop it once more.", "caption")
 
     def _offer(self, found: dict[str, Any], _: Any) -> None:
         self._place.clear()
