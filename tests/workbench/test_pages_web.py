@@ -11,6 +11,7 @@ import pytest
 from workbench_helpers import browser, csv_of, finished_study, served
 
 from ultraquiet import files
+from ultraquiet._base.registry import methods
 from ultraquiet.values import Record
 from ultraquiet.workbench import Session
 
@@ -97,6 +98,23 @@ def test_a_4_by_3_text_file_by_hand(tmp_path, monkeypatch, seed):
         "columns of one unit are told apart by themselves"
     )
     same_numbers(folder, monkeypatch)
+
+
+def test_every_registered_method_can_be_taken(tmp_path, seed):
+    """Regularised, recursive and impulse models are offered as others are."""
+    with served(tmp_path / "study") as made, browser(made) as seen:
+        recorded(seen, csv_of(tmp_path / "run.csv", seed, inputs=2, outputs=2, samples=4000), {}, "run")
+        seen.made("data", "run")
+        seen.go("identify")
+        for method in ("arx-regularised", "recursive-arx", "impulse"):
+            seen.choose("identify-method", method)
+            seen.fill("model-name", method)
+            seen.click("identify")
+            seen.made("models", method)
+        seen.page.get_by_test_id("identify-method").click()
+        offered = {text.strip() for text in seen.page.locator(".q-menu .q-item").all_inner_texts()}
+        assert offered == set(methods("identify"))
+        assert seen.errors == []
 
 
 def test_a_trial_of_orders_says_how_far_it_is_and_can_be_ended(tmp_path, seed):
