@@ -12,11 +12,13 @@ import pytest
 
 from ultraquiet.deploy import FrameTimes, Processor, generate
 from ultraquiet.deploy.exchange.cmake import write_project
+from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import targets
 from ultraquiet.deploy.toolchain.cortex_m.processors import CORTEX_M
 from ultraquiet.deploy.toolchain.target import Memory, Target
 from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
+from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making.code import deployed
 from ultraquiet.pipeline.report.code import code as code_section
 from ultraquiet.pipeline.tables.code import Deploy
@@ -102,6 +104,8 @@ def test_a_study_counts_on_the_new_one_and_its_report_says_so(another, law_of, t
     table = section.tables[0]
     row = dict(zip(table.columns, table.rows[0], strict=True))
     assert row[f"{another.title}, instructions a sample"] == str(facts.instructions_on[another.name])
+    on_page = said({"instructions_on": to_plain(facts)["instructions_on"]})
+    assert on_page == [("instructions a sample on", f"{another.name} {facts.instructions_on[another.name]}")]
 
 
 @pytest.mark.gate("cortex-m33")

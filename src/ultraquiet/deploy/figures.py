@@ -30,6 +30,7 @@ SAYS = {
     "forms_tried": "error by rounding of each form, relative",
     "eigenvector_condition": "condition of the eigenvectors",
     "bit_exact": "every bit that of its twin",
+    "instructions_on": "instructions a sample on",
     "bit_exact_on": "every bit that of its twin on",
     "flash_bytes": "flash (bytes)",
     "flash_from": "flash measured by",
@@ -98,7 +99,7 @@ def figure_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {figure_text(each)}" for key, each in value.items())
+        return ", ".join(f"{key} {figure_text(each)}" for key, each in value.items()) or "-"
     if isinstance(value, list | tuple):
         return ", ".join(map(figure_text, value))
     if isinstance(value, float):

@@ -10,7 +10,6 @@ from nicegui import ui
 
 from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.law import WORDS
-from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.pipeline.tables.code import Deploy
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.making.work import CODE
@@ -29,7 +28,7 @@ SHOWN = (
     "precision",
     "flash_bytes",
     "ram_bytes",
-    *(f"{target.key}_instructions" for target in TARGETS.values()),
+    "instructions_on",
     "bit_exact",
     "response_error",
     "state_bound",
