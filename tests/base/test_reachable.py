@@ -37,7 +37,5 @@ def test_every_registered_method_is_reachable():
 
 
 def test_an_unknown_name_is_answered_with_the_nearest():
-    with pytest.raises(
-        UnknownMethodError, match=r"no method 'box-jenkin'; did you mean 'box-jenkins'\? Known are a"
-    ):
+    with pytest.raises(UnknownMethodError, match=r"no method 'box-jenkin'; did you mean 'box-jenkins'\? Known are a"):
         lookup("identify", "box-jenkin")
