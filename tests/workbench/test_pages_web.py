@@ -113,7 +113,10 @@ def test_every_registered_method_can_be_taken(tmp_path, seed):
             seen.made("models", method)
         seen.page.get_by_test_id("identify-method").click()
         offered = {text.strip() for text in seen.page.locator(".q-menu .q-item").all_inner_texts()}
-        assert offered == set(methods("identify"))
+        # other tests may have registered methods of their own in this process, which the served one knows nothing of
+        assert offered == {
+            name for name, kind in methods("identify").items() if kind.__module__.startswith("ultraquiet.")
+        }
         assert seen.errors == []
 
 
