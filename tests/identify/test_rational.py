@@ -9,6 +9,7 @@ from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.modes import rank_one
 
 RATE_HZ = 3500.0
+CLOSE = 8  # plants drawn
 
 
 def random_modal(rng, modes, nu, ny, rate_hz=RATE_HZ):
@@ -231,6 +232,38 @@ def test_a_mode_costs_two_states(first_seed, channels):
     assert error <= 1.0
 
 
+def suspended(rng, ny, nu):
+    """Three modes within 4 % of each other, heard at a dozen of some 3400 lines, and three far above."""
+    first = rng.uniform(4.0, 8.0)
+    modes = [(first * share, 0.05, rng.choice([0.3, 1.0, 3.0])) for share in (1.0, 1.01, 1.04)]
+    modes += [(40.0, 0.08, 1.0), (65.0, 0.08, 1.0), (360.0, 0.2, 1.0)]
+    A, B, C = np.zeros((12, 12)), np.zeros((12, nu)), np.zeros((ny, 12))
+    for k, (f, zeta, gain) in enumerate(modes):
+        p = np.exp(2 * np.pi * f / RATE_HZ * (-zeta + 1j * np.sqrt(1 - zeta**2)))
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+        B[2 * k] = gain * 2 * np.pi * f * zeta / RATE_HZ * rng.standard_normal(nu)
+        C[:, 2 * k + 1] = rng.standard_normal(ny)
+    return uq.StateSpace(A, B, C, np.zeros((ny, nu)), RATE_HZ)
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(4, 4, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_no_line_pays_for_a_mode_that_leaves(ny, nu, unit, rng):
+    """A root of means over all lines hardly hears what a few of them miss."""
+    worst = []
+    for _ in range(CLOSE):
+        plant = suspended(rng, ny, nu)
+        f = np.arange(1.0, 1700.0, 0.5)
+        fit = uq.identify.Rational().identify_response(measured_with_noise(rng, unit * plant, f, 3e-3), RATE_HZ)
+        between = f[:100] + 0.25
+        T = unit * plant.frequency_response(between)
+        missed = np.linalg.norm(fit.model.frequency_response(between) - T, axis=(0, 1)) / np.linalg.norm(T, axis=(0, 1))
+        worst.append(missed.max())
+        print(f"{fit.model.states} states of 12, worst line off by {worst[-1]:.1%}")
+        assert fit.status.ok
+        assert fit.model.states <= 14
+    assert max(worst) < 0.04
+
+
 @pytest.mark.parametrize("size", [1e-9, 1e9])
 def test_units_change_no_states(first_seed, size):
     rng = np.random.default_rng(first_seed)
@@ -360,7 +393,7 @@ def test_a_needle_between_two_lines_leaves_a_trial_of_fewer_modes(ny, nu, unit, 
     start = np.append(poles, needle)
     b = rng.standard_normal((start.size, nu)) + 0j
     modes = rank_one.fitted_outputs(rank_one.of(start, np.zeros((ny, start.size)), b), fitted)
-    task = fewest_modes.Thinning(fitted, held_out, 0.015, 0.003)
+    task = fewest_modes.Thinning(fitted, held_out, 0.015, 0.003, np.zeros(held_out.z.size))
     plain = rank_one.refined(modes, fitted, 0)
     trial = task.tried(modes, 0)
     print(f"{held_out.error(plain):.3g} with the needle, {trial.held_out:.3g} without")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg import vector_fitting
 from ultraquiet.linalg.modes import rank_elimination, rank_one
 
@@ -14,24 +14,43 @@ REACH = 8.0  # error in units of the goal, from which the search for poles and d
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
 TOGETHER = 0.1  # share of the modes that is tried to leave at once
 UNTOLD = 0.02  # radians by which damping moves the phase at the nearest line, below which no line tells it
+LINE = 10.0  # by so many times what precision is not worth a state may a line be met worse than by full rank
 FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
 
 
 class Trial(NamedTuple):
-    """Modes, and their weighted RMS error at the lines fitted and at those held out."""
+    """Modes, their weighted RMS error at the lines fitted and at those held out, and how much worse one of these is.
+
+    `worst` is the root of the largest rise of a line's squared error above that of residues of full rank.
+    """
 
     modes: rank_one.RankOneModes
     error: float
     held_out: float
+    worst: float
 
 
 class Thinning(NamedTuple):
-    """Lines to fit, lines to judge by, the error there that must be met, and what precision is not worth a state."""
+    """Lines to fit, lines to judge by, the error there that must be met, and what precision is not worth a state.
+
+    `known` `(nf,)` is what residues of full rank miss of each line to judge by. A few lines about a mode that one
+    direction alone hears weigh next to nothing among all of them: no line may be met much worse.
+    """
 
     fitted: rank_one.Samples
     held_out: rank_one.Samples
     goal: float
     spare: float
+    known: FloatArray
+
+    def met_by(self, trial: Trial) -> bool:
+        """Return whether the goal is met, and every line."""
+        return trial.held_out <= self.goal and trial.worst <= LINE * self.spare
+
+    def judged(self, modes: rank_one.RankOneModes) -> Trial:
+        """Return the modes as they are, with their errors."""
+        worst = rise(self.held_out.errors(modes), self.known)
+        return Trial(modes, self.fitted.error(modes), self.held_out.error(modes), worst)
 
     def tried(self, modes: rank_one.RankOneModes, steps: int) -> Trial:
         """Return the modes refined.
@@ -52,8 +71,7 @@ class Thinning(NamedTuple):
         return best
 
     def _refined(self, modes: rank_one.RankOneModes, steps: int) -> Trial:
-        found = rank_one.refined(modes, self.fitted, steps, AMPLE * self.goal)
-        return Trial(found, self.fitted.error(found), self.held_out.error(found))
+        return self.judged(rank_one.refined(modes, self.fitted, steps, AMPLE * self.goal))
 
     def tightened(self, best: float) -> "Thinning":
         """Return the task with a goal that also keeps what a set of modes was seen to reach."""
@@ -62,6 +80,15 @@ class Thinning(NamedTuple):
     def eased(self) -> "Thinning":
         """Return the task with a goal that gives up the precision that is not worth a state."""
         return self._replace(goal=float(np.hypot(self.goal, self.spare)))
+
+
+def rise(errors: FloatArray, known: FloatArray) -> float:
+    """Return how much worse a line is met: the root of the largest rise of a squared error, 0 where none rises.
+
+    >>> rise(np.array([0.3, 0.5]), np.array([0.3, 0.4])).__round__(3)
+    0.3
+    """
+    return float(np.sqrt(np.max(errors**2 - known**2, initial=0.0)))
 
 
 def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Trial | None:
@@ -76,12 +103,12 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
     missed: list[Trial] = []
     while sets:
         trial = task.tried(sets.pop(), ROUGH_STEPS)
-        if trial.held_out > task.goal:
+        if not task.met_by(trial):
             missed.append(trial)
             continue
         larger = task.tried(sets.pop(), ROUGH_STEPS) if sets else trial
         task = task.tightened(min(trial.held_out, larger.held_out))
-        chosen = trial if trial.held_out <= task.goal else larger
+        chosen = larger if task.met_by(larger) and not task.met_by(trial) else trial
         found = _thinned(chosen, task)
         return _thinned(chosen, task.eased()) if found is chosen else found
     return _nearly(missed, task)
@@ -90,7 +117,7 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
 def _nearly(missed: list[Trial], task: Thinning) -> Trial | None:
     """Return the smallest of rising sets of modes that misses the goal by what precision is not worth a state."""
     eased = task.eased()
-    found = next((trial for trial in missed if trial.held_out <= eased.goal), None)
+    found = next((trial for trial in missed if eased.met_by(trial)), None)
     return None if found is None else _thinned(found, eased)
 
 
@@ -133,11 +160,11 @@ def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int
     modes = rank_elimination.all_directions(fit.poles, fit.residues)
     sets, least = [modes], modes.poles.size
     for fewer in rank_elimination.eliminated(modes, task.fitted):
-        error = task.held_out.error(fewer)
-        if error > REACH * task.goal:
+        trial = task.judged(fewer)
+        if trial.held_out > REACH * task.goal:
             break
         sets.append(fewer)
-        if error <= task.goal:
+        if task.met_by(trial):
             least = fewer.poles.size
     return least, sets
 
@@ -151,7 +178,7 @@ def _thinned(trial: Trial, task: Thinning) -> Trial:
         # what those that leave did falls to the others' outputs first: poles that had to make up for it went astray
         others = rank_one.fitted_outputs(trial.modes.only(np.delete(heads, faint)), task.fitted)
         tried = task.tried(others, ROUGH_STEPS)
-        if tried.held_out <= task.goal:
+        if task.met_by(tried):
             trial, failed = tried, 0
         elif together > 1:
             together //= 2

@@ -14,7 +14,7 @@ from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.data import told_by_lines
 from ultraquiet.identify.response.even_units import EvenUnits
-from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
+from ultraquiet.identify.response.fewest_modes import Thinning, fewest, rise, settled
 from ultraquiet.identify.response.follows_inputs import MISSED, unless_followed
 from ultraquiet.identify.response.resolution import blurred
 from ultraquiet.identify.result import Result, worst
@@ -40,6 +40,9 @@ LINES_PER_POLE = 3  # fitted lines that a pole takes
 # where noise that nobody measured lies above the floor (root of the difference of squares): spare poles have nothing to
 # do but to ring at noise.
 WORTH = 0.3
+# Nor does a smaller order miss a line by so many times that share more: a mode heard at few lines weighs little among
+# all of them.
+NOTICED = 33.0
 # Starting poles: this relative damping, from the lowest line to the highest.
 START_DAMPING = 0.1
 # Nearer to the response than this share of the floor nothing is gained by a state.
@@ -192,12 +195,15 @@ class Rational(SearchedOrder):
         fits, errors_by_order = _by_order(self, fitted, held_out, f, rate_hz)
         best = min(errors_by_order, key=lambda n: errors_by_order[n])
         worth = WORTH * max(self.floor, errors_by_order[best])
-        chosen = min(n for n, e in errors_by_order.items() if e <= np.hypot(errors_by_order[best], worth))
+        missed = {n: held_out.weight * _missed(fit, held_out.z, held_out.H) for n, fit in fits.items()}
+        known = {n: rank_one.over_channels(each) for n, each in missed.items()}
+        near, noticed = np.hypot(errors_by_order[best], worth), NOTICED * worth
+        chosen = min(n for n, e in errors_by_order.items() if e <= near and rise(known[n], known[best]) <= noticed)
         goal = max(errors_by_order[chosen], EXACT * self.floor)
         blocks = _realised(self, _fitted(self, whole, fits[chosen].poles), z, weight)
         model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
         error = fits[chosen].error, errors_by_order[chosen]
-        lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth))
+        lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth, known[chosen]))
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
             blocks = _blocks(settled(lean.modes, whole, worth))
             model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
@@ -294,8 +300,12 @@ def _starting_poles(order: int, f: FloatArray, rate_hz: float) -> ComplexArray:
 
 
 def _error(fit: vector_fitting.PoleResidueFit, z: ComplexArray, H: ComplexArray, weight: FloatArray) -> float:
-    model = np.einsum("ijk,kf->ijf", fit.residues, 1.0 / (z - fit.poles[:, None]))
-    return float(np.sqrt(np.mean(np.abs(weight * (model - H)) ** 2)))
+    return float(np.sqrt(np.mean(np.abs(weight * _missed(fit, z, H)) ** 2)))
+
+
+def _missed(fit: vector_fitting.PoleResidueFit, z: ComplexArray, H: ComplexArray) -> ComplexArray:
+    """Return what a fit is off by, `(ny, nu, nf)`."""
+    return np.asarray(np.einsum("ijk,kf->ijf", fit.residues, 1.0 / (z - fit.poles[:, None])) - H)
 
 
 def _verdict(error: float) -> Status:

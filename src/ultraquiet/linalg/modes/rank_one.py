@@ -67,6 +67,15 @@ class Samples(NamedTuple):
         """Return the weighted RMS error."""
         return float(np.sqrt(np.mean(np.abs(self.weight * (modes.response(self.z) - self.H)) ** 2)))
 
+    def errors(self, modes: RankOneModes) -> FloatArray:
+        """Return the weighted error of each sample, the root of the sum of squares over its channels: `(nf,)`."""
+        return over_channels(self.weight * (modes.response(self.z) - self.H))
+
+
+def over_channels(values: ComplexArray) -> FloatArray:
+    """Return the root of the sum of squares of `(ny, nu, nf)` at each sample: `(nf,)`."""
+    return np.sqrt(np.sum(np.abs(values) ** 2, axis=(0, 1)))
+
 
 def of(poles: ComplexArray, c: ComplexArray, b: ComplexArray) -> RankOneModes:
     """Return modes from upper and real poles alone, in any order."""
