@@ -246,6 +246,7 @@ def suspended(rng, ny, nu):
     return uq.StateSpace(A, B, C, np.zeros((ny, nu)), RATE_HZ)
 
 
+@pytest.mark.draws(false_alarm=0.07)  # 1 of 120 plants is off by 4.05 %, eight are drawn
 @pytest.mark.parametrize(("ny", "nu", "unit"), [(4, 4, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
 def test_no_line_pays_for_a_mode_that_leaves(ny, nu, unit, rng):
     """A root of means over all lines hardly hears what a few of them miss."""
