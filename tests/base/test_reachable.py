@@ -9,7 +9,7 @@ import pytest
 
 from package_source import parsed
 from ultraquiet._base.errors import UnknownMethodError
-from ultraquiet._base.registry import lookup
+from ultraquiet._base.registry import lookup, methods
 
 # In a process of its own, where no test has imported what a room forgot; a room imports no room above it, so that in
 # the order of the layers none can hide the gap of another.
@@ -37,5 +37,6 @@ def test_every_registered_method_is_reachable():
 
 
 def test_an_unknown_name_is_answered_with_the_nearest():
-    with pytest.raises(UnknownMethodError, match=r"no method 'box-jenkin'; did you mean 'box-jenkins'\? Known are a"):
+    known = f"Known are {', '.join(sorted(methods('identify')))}"
+    with pytest.raises(UnknownMethodError, match=rf"no method 'box-jenkin'; did you mean 'box-jenkins'\? {known}"):
         lookup("identify", "box-jenkin")

@@ -19,13 +19,12 @@ FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is 
 
 
 class Trial(NamedTuple):
-    """Modes, their weighted RMS error at the lines fitted and at those held out, and how much worse one of these is.
+    """Modes, their weighted RMS error at the lines held out, and how much worse one of these is met.
 
     `worst` is the root of the largest rise of a line's squared error above that of residues of full rank.
     """
 
     modes: rank_one.RankOneModes
-    error: float
     held_out: float
     worst: float
 
@@ -48,9 +47,9 @@ class Thinning(NamedTuple):
         return trial.held_out <= self.goal and trial.worst <= LINE * self.spare
 
     def judged(self, modes: rank_one.RankOneModes) -> Trial:
-        """Return the modes as they are, with their errors."""
-        worst = rise(self.held_out.errors(modes), self.known)
-        return Trial(modes, self.fitted.error(modes), self.held_out.error(modes), worst)
+        """Return the modes as they are, with what they miss of the lines held out."""
+        errors = self.held_out.errors(modes)
+        return Trial(modes, self.held_out.rms(errors), rise(errors, self.known))
 
     def tried(self, modes: rank_one.RankOneModes, steps: int) -> Trial:
         """Return the modes refined.

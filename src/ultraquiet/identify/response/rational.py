@@ -192,11 +192,10 @@ class Rational(SearchedOrder):
         fitted = rank_one.Samples(z[used], H[:, :, used], weight[used], self.zeros_at_dc, slowest)
         held_out = rank_one.Samples(z[~used], H[:, :, ~used], weight[~used])
         whole = rank_one.Samples(z, H, weight, self.zeros_at_dc, slowest)
-        fits, errors_by_order = _by_order(self, fitted, held_out, f, rate_hz)
+        fits, known = _by_order(self, fitted, held_out, f, rate_hz)
+        errors_by_order = {n: held_out.rms(lines) for n, lines in known.items()}
         best = min(errors_by_order, key=lambda n: errors_by_order[n])
         worth = WORTH * max(self.floor, errors_by_order[best])
-        missed = {n: held_out.weight * _missed(fit, held_out.z, held_out.H) for n, fit in fits.items()}
-        known = {n: rank_one.over_channels(each) for n, each in missed.items()}
         near, noticed = np.hypot(errors_by_order[best], worth), NOTICED * worth
         chosen = min(n for n, e in errors_by_order.items() if e <= near and rise(known[n], known[best]) <= noticed)
         goal = max(errors_by_order[chosen], EXACT * self.floor)
@@ -207,17 +206,18 @@ class Rational(SearchedOrder):
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
             blocks = _blocks(settled(lean.modes, whole, worth))
             model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
-            error = lean.error, lean.held_out
+            error = fitted.error(lean.modes), lean.held_out
         poles = {n: fit.poles for n, fit in fits.items()}
         return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order, poles)
 
 
 def _by_order(
     method: Rational, fitted: rank_one.Samples, held_out: rank_one.Samples, f: FloatArray, rate_hz: float
-) -> tuple[dict[int, vector_fitting.PoleResidueFit], dict[int, float]]:
-    """Return fits with residues of full rank and their errors at the lines held out."""
+) -> tuple[dict[int, vector_fitting.PoleResidueFit], dict[int, FloatArray]]:
+    """Return fits with residues of full rank and their errors at each of the lines held out."""
     fits: dict[int, vector_fitting.PoleResidueFit] = {}
-    errors: dict[int, float] = {}
+    known: dict[int, FloatArray] = {}
+    errors: list[float] = []
     orders = ORDERS + HIGHER_ORDERS if method.given_order is None else (method.given_order,)
     orders = tuple(n for n in orders if n * LINES_PER_POLE <= fitted.z.size)
     with task("rational fit", sum(n <= ORDERS[-1] for n in orders) or 1) as progress:
@@ -226,9 +226,10 @@ def _by_order(
                 break
             start = _starting_poles(n, f, rate_hz)
             fits[n] = _fitted(method, fitted, start)
-            errors[n] = _error(fits[n], held_out.z, held_out.H, held_out.weight)
-            progress.advance(note=f"order {n}: {errors[n]:.4f}")
-    return fits, errors
+            known[n] = _errors(fits[n], held_out)
+            errors.append(held_out.rms(known[n]))
+            progress.advance(note=f"order {n}: {errors[-1]:.4f}")
+    return fits, known
 
 
 def _fitted(method: Rational, samples: rank_one.Samples, start: ComplexArray) -> vector_fitting.PoleResidueFit:
@@ -236,10 +237,9 @@ def _fitted(method: Rational, samples: rank_one.Samples, start: ComplexArray) ->
     return vector_fitting.fit(samples.z, samples.H, samples.weight, start, method.iterations, zeros, samples.slowest)
 
 
-def _falling(errors: dict[int, float], worth: float) -> bool:
+def _falling(errors: list[float], worth: float) -> bool:
     """Return whether one of the last orders was worth more than all before them."""
-    tried = list(errors.values())
-    before, last = tried[:-PATIENCE], tried[-PATIENCE:]
+    before, last = errors[:-PATIENCE], errors[-PATIENCE:]
     return not before or np.hypot(min(last), worth) < min(before)
 
 
@@ -299,13 +299,10 @@ def _starting_poles(order: int, f: FloatArray, rate_hz: float) -> ComplexArray:
     return np.concatenate([upper, upper.conj(), real]).astype(np.complex128)
 
 
-def _error(fit: vector_fitting.PoleResidueFit, z: ComplexArray, H: ComplexArray, weight: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.abs(weight * _missed(fit, z, H)) ** 2)))
-
-
-def _missed(fit: vector_fitting.PoleResidueFit, z: ComplexArray, H: ComplexArray) -> ComplexArray:
-    """Return what a fit is off by, `(ny, nu, nf)`."""
-    return np.asarray(np.einsum("ijk,kf->ijf", fit.residues, 1.0 / (z - fit.poles[:, None])) - H)
+def _errors(fit: vector_fitting.PoleResidueFit, samples: rank_one.Samples) -> FloatArray:
+    """Return the weighted error of each sample, as `rank_one.Samples.errors` does of modes of rank one."""
+    model = np.einsum("ijk,kf->ijf", fit.residues, 1.0 / (samples.z - fit.poles[:, None]))
+    return rank_one.over_channels(np.asarray(samples.weight * (model - samples.H)))
 
 
 def _verdict(error: float) -> Status:

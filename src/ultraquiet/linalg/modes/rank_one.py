@@ -65,7 +65,11 @@ class Samples(NamedTuple):
 
     def error(self, modes: RankOneModes) -> float:
         """Return the weighted RMS error."""
-        return float(np.sqrt(np.mean(np.abs(self.weight * (modes.response(self.z) - self.H)) ** 2)))
+        return self.rms(self.errors(modes))
+
+    def rms(self, errors: FloatArray) -> float:
+        """Return the RMS error over samples and channels that errors of each sample come to."""
+        return float(np.sqrt(np.mean(errors**2) / (self.H.shape[0] * self.H.shape[1])))
 
     def errors(self, modes: RankOneModes) -> FloatArray:
         """Return the weighted error of each sample, the root of the sum of squares over its channels: `(nf,)`."""
