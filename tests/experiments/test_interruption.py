@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from threading import Timer
 
 import pytest
 from fakes import LIST, Fake, run
@@ -111,3 +112,23 @@ def test_a_torn_journal_line_is_dropped_and_a_damaged_one_refused(bench, tmp_pat
 def test_two_lists_do_not_share_a_folder_at_once(bench, tmp_path):
     with journal.opened(tmp_path), pytest.raises(StorageError, match="another process"):
         run(LIST, tmp_path, bench)
+
+
+HELD = """
+import fcntl, os, signal, subprocess, sys
+handle = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
+fcntl.flock(handle, fcntl.LOCK_EX)
+subprocess.Popen(["cat"], pass_fds=(handle,))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_lock_that_outlives_its_process_for_a_moment_is_waited_for(bench, tmp_path):
+    """What reads files for a process begins with all that one holds, and lets go of it once it runs."""
+    words = [sys.executable, "-c", HELD, str(tmp_path / journal.FILE)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE) as killed:
+        assert killed.wait() == -signal.SIGKILL
+        assert killed.stdin is not None
+        assert journal.busy(tmp_path)
+        Timer(0.2, killed.stdin.close).start()
+        assert run(LIST, tmp_path, bench)

@@ -7,6 +7,7 @@ and is dropped: what it announces had not begun.
 
 import json
 import os
+import time
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,9 @@ from ultraquiet.files import reason
 from ultraquiet.files.names import inside, is_plain, quoted
 
 FILE = "journal.txt"
+# What reads a file for a process lets go of that one's locks as soon as it runs. Where the process is killed before,
+# its lock is held until then.
+PATIENCE_S, PAUSE_S = 1.0, 0.01
 
 
 def entries(folder: Path) -> list[dict[str, Any]]:
@@ -102,7 +106,7 @@ def opened(folder: Path) -> Iterator[Journal]:
     except OSError as error:
         raise StorageError(f"journal: '{path}' cannot be opened ({reason(error)}).") from error
     try:
-        _lock(path, handle)
+        _lock(path, handle, PATIENCE_S)
         try:
             ends = [end for _, end in _sound(path, read_regular(path))]
             os.truncate(handle, max(ends, default=0))
@@ -164,12 +168,17 @@ def _names(entry: Any) -> list[Any]:
     return [entry["name"]]
 
 
-def _lock(path: Path, handle: int) -> None:
+def _lock(path: Path, handle: int, patience_s: float = 0.0) -> None:
     if os.name == "nt":
         return
     import fcntl
 
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise StorageError(f"journal: another process is executing a list into '{path.parent}'.") from None
+    started = time.monotonic()
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() - started >= patience_s:
+                raise StorageError(f"journal: another process is executing a list into '{path.parent}'.") from None
+        time.sleep(PAUSE_S)
