@@ -392,7 +392,8 @@ def test_a_needle_between_two_lines_leaves_a_trial_of_fewer_modes(ny, nu, unit, 
     start = np.append(poles, needle)
     b = rng.standard_normal((start.size, nu)) + 0j
     modes = rank_one.fitted_outputs(rank_one.of(start, np.zeros((ny, start.size)), b), fitted)
-    task = fewest_modes.Thinning(fitted, held_out, 0.015, 0.003, np.zeros(held_out.z.size))
+    none = np.zeros(held_out.z.size)
+    task = fewest_modes.Thinning(fitted, held_out, 0.015, 0.003, none, none)
     plain = rank_one.refined(modes, fitted, 0)
     trial = task.tried(modes, 0)
     print(f"{held_out.error(plain):.3g} with the needle, {trial.held_out:.3g} without")

@@ -21,7 +21,9 @@ from ultraquiet.values.state_space import StateSpace
 LINES_A_DECADE, FEWER = 40, 20
 NARROW = np.array([-1.0, 0.0, 1.0])
 DECADES = 2.0  # below the band; above it the grid goes to Nyquist, or as far
-LOOKS = 8  # steps from each start before the best goes on
+# Steps from each start, of which few go on for a share of all steps, and then the best: so early the best start is not
+# the one that ends best, up to 2 dB apart.
+LOOKS, FEW, SHARE = 8, 2, 0.4
 POLISH = 3  # on a line that shows an excess: the first step or two take it away
 # Of looks between the lines, and what counts as a bound exceeded there: on a plant given, and on one drawn.
 ROUNDS, HIDDEN_DB, HIDDEN_DRAWN_DB = 6, 0.01, 0.1
@@ -67,16 +69,17 @@ class SearchFromStarts:
         Plants drawn near join the search as soon as one of them stands worse than those that are in it.
         """
         given = self._scenarios(self.plants)
-        with task("peak-bounded search", LOOKS * len(starts) + 2 * self.steps) as progress:
-            found = self._looked(starts, given, progress)
-            if found is None:
+        share = round(SHARE * self.steps)
+        with task("peak-bounded search", LOOKS * len(starts) + FEW * share + 2 * self.steps) as progress:
+            looks = self._looked(starts, given, progress)
+            if not looks:
                 return None
-            law, end = found
-            end = self._searched(law, end.theta, given, self.steps, progress, self._tighter())
+            law, look, further = self._best(looks, given, share, progress)
+            end = self._searched(law, further.theta, given, self.steps - share, progress, self._tighter())
             every = given
             self.alone_db = -np.inf if end is None else -float(end[1].standing.level_db)
             if end is not None and self.near:
-                end, every = self._widened(law, (end[1], found[1]), given, progress)
+                end, every = self._widened(law, (end[1], look), given, progress)
             certificates = [LoopCertificate(each, self.demands) for each in every]
             for _ in range(ROUNDS):
                 if end is None or not self._hidden(law, end[1].theta, certificates):
@@ -97,15 +100,29 @@ class SearchFromStarts:
 
     def _looked(
         self, starts: Sequence[Start], given: list[Scenario], progress: Task
-    ) -> tuple[ControllerStructure, SearchEnd] | None:
-        """Return where some steps lead from the best start; a poor one is not looked at where another does well."""
+    ) -> list[tuple[ControllerStructure, SearchEnd]]:
+        """Return where some steps lead from each start, the best first; a poor one is left where another does well."""
         looks: list[tuple[ControllerStructure, SearchEnd]] = []
         for k, start in enumerate(starts):
             if k == len(starts) - 1 and any(_good(each[1].standing) for each in looks):
                 break
             end = self._searched(*start, given, LOOKS, progress)
             looks += [] if end is None else [end]
-        return min(looks, key=lambda each: _worth(each[1].standing)) if looks else None
+        return sorted(looks, key=lambda each: _worth(each[1].standing))
+
+    def _best(
+        self,
+        looks: Sequence[tuple[ControllerStructure, SearchEnd]],
+        given: list[Scenario],
+        steps: int,
+        progress: Task,
+    ) -> tuple[ControllerStructure, SearchEnd, SearchEnd]:
+        """Return the structure of that of few looks which goes on best, the look, and where it stands by then."""
+        ends: list[tuple[ControllerStructure, SearchEnd, SearchEnd]] = []
+        for law, look in looks[:FEW]:
+            end = self._searched(law, look.theta, given, steps, progress)
+            ends.append((law, look, look if end is None else end[1]))
+        return min(ends, key=lambda each: _worth(each[2].standing))
 
     def _widened(
         self, law: ControllerStructure, ends: tuple[SearchEnd, SearchEnd], given: list[Scenario], progress: Task

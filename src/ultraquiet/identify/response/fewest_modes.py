@@ -14,14 +14,17 @@ REACH = 8.0  # error in units of the goal, from which the search for poles and d
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
 TOGETHER = 0.1  # share of the modes that is tried to leave at once
 UNTOLD = 0.02  # radians by which damping moves the phase at the nearest line, below which no line tells it
-LINE = 10.0  # by so many times what precision is not worth a state may a line be met worse than by full rank
+# A line may be met worse than by residues of full rank by so many times what precision is not worth a state, or by so
+# many times its noise: whoever follows that needs more states, and is farther from the truth.
+LINE, NOISE = 10.0, 3.0
+ABOUT = 4  # lines to either side that tell of the noise of one
 FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
 
 
 class Trial(NamedTuple):
     """Modes, their weighted RMS error at the lines held out, and how much worse one of these is met.
 
-    `worst` is the root of the largest rise of a line's squared error above that of residues of full rank.
+    `worst` is the largest rise of a line's error above that of residues of full rank, in units of what is allowed.
     """
 
     modes: rank_one.RankOneModes
@@ -32,8 +35,9 @@ class Trial(NamedTuple):
 class Thinning(NamedTuple):
     """Lines to fit, lines to judge by, the error there that must be met, and what precision is not worth a state.
 
-    `known` `(nf,)` is what residues of full rank miss of each line to judge by. A few lines about a mode that one
-    direction alone hears weigh next to nothing among all of them: no line may be met much worse.
+    `known` `(nf,)` is what residues of full rank miss of each line to judge by, and `noise` what hides a miss there. A
+    few lines about a mode that one direction alone hears weigh next to nothing among all of them: no line may be met
+    much worse.
     """
 
     fitted: rank_one.Samples
@@ -41,15 +45,17 @@ class Thinning(NamedTuple):
     goal: float
     spare: float
     known: FloatArray
+    noise: FloatArray
 
     def met_by(self, trial: Trial) -> bool:
         """Return whether the goal is met, and every line."""
-        return trial.held_out <= self.goal and trial.worst <= LINE * self.spare
+        return trial.held_out <= self.goal and trial.worst <= 1.0
 
     def judged(self, modes: rank_one.RankOneModes) -> Trial:
         """Return the modes as they are, with what they miss of the lines held out."""
         errors = self.held_out.errors(modes)
-        return Trial(modes, self.held_out.rms(errors), rise(errors, self.known))
+        allowed = np.hypot(LINE * self.spare, NOISE * self.noise)
+        return Trial(modes, self.held_out.rms(errors), rise(errors / allowed, self.known / allowed))
 
     def tried(self, modes: rank_one.RankOneModes, steps: int) -> Trial:
         """Return the modes refined.
@@ -79,6 +85,18 @@ class Thinning(NamedTuple):
     def eased(self) -> "Thinning":
         """Return the task with a goal that gives up the precision that is not worth a state."""
         return self._replace(goal=float(np.hypot(self.goal, self.spare)))
+
+
+def about(errors: FloatArray) -> FloatArray:
+    """Return the root of the mean square of each line's error and those of `ABOUT` lines to either side.
+
+    >>> about(np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])).round(3)
+    array([1.342, 1.225, 1.134, 1.134, 1.134, 1.225, 1.342])
+    """
+    squares = np.concatenate([[0.0], np.cumsum(errors**2)])
+    line = np.arange(errors.size)
+    first, end = np.maximum(line - ABOUT, 0), np.minimum(line + ABOUT + 1, errors.size)
+    return np.sqrt((squares[end] - squares[first]) / (end - first))
 
 
 def rise(errors: FloatArray, known: FloatArray) -> float:

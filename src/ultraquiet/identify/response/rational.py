@@ -14,7 +14,7 @@ from ultraquiet.identify import chance
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.data import told_by_lines
 from ultraquiet.identify.response.even_units import EvenUnits
-from ultraquiet.identify.response.fewest_modes import Thinning, fewest, rise, settled
+from ultraquiet.identify.response.fewest_modes import Thinning, about, fewest, rise, settled
 from ultraquiet.identify.response.follows_inputs import MISSED, unless_followed
 from ultraquiet.identify.response.resolution import blurred
 from ultraquiet.identify.result import Result, worst
@@ -202,7 +202,8 @@ class Rational(SearchedOrder):
         blocks = _realised(self, _fitted(self, whole, fits[chosen].poles), z, weight)
         model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
         error = fits[chosen].error, errors_by_order[chosen]
-        lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth, known[chosen]))
+        thinning = Thinning(fitted, held_out, goal, worth, known[chosen], about(known[best]))
+        lean = fewest([fits[n] for n in sorted({chosen, best})], thinning)
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
             blocks = _blocks(settled(lean.modes, whole, worth))
             model = _assembled(self, [units.undone(b) for b in blocks], rate_hz, response)
