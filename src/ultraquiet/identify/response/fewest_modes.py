@@ -14,9 +14,9 @@ REACH = 8.0  # error in units of the goal, from which the search for poles and d
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
 TOGETHER = 0.1  # share of the modes that is tried to leave at once
 UNTOLD = 0.02  # radians by which damping moves the phase at the nearest line, below which no line tells it
-# A line may be met worse than by residues of full rank by so many times what precision is not worth a state, or by so
-# many times its noise: whoever follows that needs more states, and is farther from the truth.
-LINE, NOISE = 10.0, 3.0
+# A line may be met worse than by residues of full rank by so many times what precision is not worth a state or, where
+# that is more, by so many times its noise: whoever follows that needs more states, and is no nearer to the truth.
+LINE, NOISE = 10.0, 2.0
 ABOUT = 4  # lines to either side that tell of the noise of one
 FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
 
@@ -54,7 +54,7 @@ class Thinning(NamedTuple):
     def judged(self, modes: rank_one.RankOneModes) -> Trial:
         """Return the modes as they are, with what they miss of the lines held out."""
         errors = self.held_out.errors(modes)
-        allowed = np.hypot(LINE * self.spare, NOISE * self.noise)
+        allowed = np.maximum(LINE * self.spare, NOISE * self.noise)
         return Trial(modes, self.held_out.rms(errors), rise(errors / allowed, self.known / allowed))
 
     def tried(self, modes: rank_one.RankOneModes, steps: int) -> Trial:
@@ -88,15 +88,13 @@ class Thinning(NamedTuple):
 
 
 def about(errors: FloatArray) -> FloatArray:
-    """Return the root of the mean square of each line's error and those of `ABOUT` lines to either side.
+    """Return the median of each line's error and those of `ABOUT` lines to either side: not what one line misses.
 
-    >>> about(np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])).round(3)
-    array([1.342, 1.225, 1.134, 1.134, 1.134, 1.225, 1.342])
+    >>> about(np.array([1.0, 2.0, 9.0, 2.0, 1.0, 2.0]))
+    array([2., 2., 2., 2., 2., 2.])
     """
-    squares = np.concatenate([[0.0], np.cumsum(errors**2)])
-    line = np.arange(errors.size)
-    first, end = np.maximum(line - ABOUT, 0), np.minimum(line + ABOUT + 1, errors.size)
-    return np.sqrt((squares[end] - squares[first]) / (end - first))
+    lines = range(errors.size)
+    return np.array([np.median(errors[max(k - ABOUT, 0) : k + ABOUT + 1]) for k in lines], dtype=np.float64)
 
 
 def rise(errors: FloatArray, known: FloatArray) -> float:
