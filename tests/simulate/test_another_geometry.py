@@ -41,8 +41,8 @@ def test_another_hexapod_is_another_plant_and_the_same_one_for_a_seed():
 @pytest.mark.parametrize(
     "geometry",
     # a stack's resonance a half as high again, at 1.5 kHz, costs 3 to 6 dB, for the study's law stands modes 3 % off:
-    # of ten geometries drawn six reach 18 dB, the others 14.9 to 17.7
-    [pytest.param(None, marks=pytest.mark.draws(false_alarm=0.5)), 7012],
+    # of eleven geometries drawn, 7001 to 7011, eight reach 18 dB, the others 16.5 to 17.8
+    [pytest.param(None, marks=pytest.mark.draws(false_alarm=0.3)), 7012],
 )
 def test_the_same_study_quietens_another_hexapod(seed, geometry):
     """Of 7012 the search once ended at half a decibel."""
