@@ -21,9 +21,9 @@ from ultraquiet.values.state_space import StateSpace
 LINES_A_DECADE, FEWER = 40, 20
 NARROW = np.array([-1.0, 0.0, 1.0])
 DECADES = 2.0  # below the band; above it the grid goes to Nyquist, or as far
-# Steps from each start, of which few go on for a share of all steps, and then the best: so early the best start is not
-# the one that ends best, up to 2 dB apart.
-LOOKS, FEW, SHARE = 8, 2, 0.4
+# Steps from each start, of which few go on for the first part of all steps, and then the best: so early the best start
+# is not the one that ends best, up to 2 dB apart.
+LOOKS, FEW, FIRST_PART = 8, 2, 0.4
 POLISH = 3  # on a line that shows an excess: the first step or two take it away
 # Of looks between the lines, and what counts as a bound exceeded there: on a plant given, and on one drawn.
 ROUNDS, HIDDEN_DB, HIDDEN_DRAWN_DB = 6, 0.01, 0.1
@@ -69,13 +69,13 @@ class SearchFromStarts:
         Plants drawn near join the search as soon as one of them stands worse than those that are in it.
         """
         given = self._scenarios(self.plants)
-        share = round(SHARE * self.steps)
-        with task("peak-bounded search", LOOKS * len(starts) + FEW * share + 2 * self.steps) as progress:
+        first = round(FIRST_PART * self.steps)
+        with task("peak-bounded search", LOOKS * len(starts) + FEW * first + 2 * self.steps) as progress:
             looks = self._looked(starts, given, progress)
             if not looks:
                 return None
-            law, look, further = self._best(looks, given, share, progress)
-            end = self._searched(law, further.theta, given, self.steps - share, progress, self._tighter())
+            law, look, further = self._best(looks, given, first, progress)
+            end = self._searched(law, further.theta, given, self.steps - first, progress, self._tighter())
             every = given
             self.alone_db = -np.inf if end is None else -float(end[1].standing.level_db)
             if end is not None and self.near:
