@@ -70,7 +70,7 @@ class SearchFromStarts:
         """
         given = self._scenarios(self.plants)
         first = round(FIRST_PART * self.steps)
-        with task("peak-bounded search", LOOKS * len(starts) + FEW * first + 2 * self.steps) as progress:
+        with task("peak-bounded search", LOOKS * len(starts) + (FEW - 1) * first + 2 * self.steps) as progress:
             looks = self._looked(starts, given, progress)
             if not looks:
                 return None
@@ -120,8 +120,8 @@ class SearchFromStarts:
         """Return the structure of that of few looks which goes on best, the look, and where it stands by then."""
         ends: list[tuple[ControllerStructure, SearchEnd, SearchEnd]] = []
         for law, look in looks[:FEW]:
-            end = self._searched(law, look.theta, given, steps, progress)
-            ends.append((law, look, look if end is None else end[1]))
+            _, end = self._searched(law, look.theta, given, steps, progress) or (law, look)
+            ends.append((law, look, end))
         return min(ends, key=lambda each: _worth(each[2].standing))
 
     def _widened(
