@@ -6,6 +6,7 @@ from scipy.signal import lfilter
 
 import ultraquiet as uq
 from ultraquiet.identify import chance
+from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.linalg.prediction import MEMORY
 
 METHODS = (uq.identify.Arx(order=2), uq.identify.OutputError(order=2), uq.identify.BoxJenkins(order=2))
@@ -206,4 +207,9 @@ def test_what_is_explained_is_what_plain_regressions_on_known_pasts_leave(sample
         return np.sum((x[lags:] - pasts @ np.linalg.lstsq(pasts, x[lags:])[0]) ** 2)
 
     for first, second in ((y + error, error), (y, y + error)):
-        assert chance.explained(first, second) == pytest.approx(max(0.0, 1 - left(second) / left(first)), abs=1e-6)
+        plain = max(0.0, 1 - left(second) / left(first))
+        sums = Lagged(2, lags)
+        for block in np.array_split(np.stack([first, second]), 3, axis=1):
+            sums.add(block)
+        assert chance.explained(first, second) == pytest.approx(plain, abs=1e-6)
+        assert chance.explained_of(sums, 0, 1) == pytest.approx(plain, abs=1e-6)

@@ -27,10 +27,7 @@ def explained(y: FloatArray, error: FloatArray) -> float:
     """
     if not np.all(np.isfinite(error)):
         return 0.0
-    lags = min(prediction.MEMORY, y.size // 10)
-    sums = Lagged(2, lags)
-    sums.add(np.stack([y - y.mean(), error - error.mean()]))
-    return explained_of(sums, 0, 1)
+    return _share(*(_innovation_in_memory(x - x.mean()) for x in (y, error)))
 
 
 def explained_together(sets: Sequence[tuple[FloatArray, FloatArray]]) -> float:
@@ -41,23 +38,33 @@ def explained_together(sets: Sequence[tuple[FloatArray, FloatArray]]) -> float:
 
 def explained_of(sums: Lagged, output: int, error: int) -> float:
     """Return the same from the products of an output and an error among other signals."""
-    products = sums.products(centred=True)
-    before, after = (_innovation(sums, products[:, channel, channel], channel) for channel in (output, error))
+    products, lags = sums.products(centred=True), min(prediction.MEMORY, sums.lags)
+    head, tail = sums.head[:, :lags] - sums.mean[:, None], sums.tail[:, -lags:] - sums.mean[:, None]
+    return _share(*(_innovation(products[: lags + 1, i, i], head[i], tail[i], sums.samples) for i in (output, error)))
+
+
+def _share(before: float, after: float) -> float:
     return max(0.0, 1.0 - after / max(before, TINY))
 
 
-def _innovation(sums: Lagged, r: FloatArray, channel: int) -> float:
+def _innovation_in_memory(x: FloatArray) -> float:
+    """Return `_innovation` of a centred signal; for so few lags sums are faster than transforms."""
+    lags = min(prediction.MEMORY, x.size // 10)
+    r = np.array([x[: x.size - k] @ x[k:] for k in range(lags + 1)])
+    return _innovation(r, x[:lags], x[x.size - lags :], x.size)
+
+
+def _innovation(r: FloatArray, head: FloatArray, tail: FloatArray, samples: int) -> float:
     """Return the mean square that an autoregression leaves of a signal, by least squares over known pasts alone.
 
-    `r` are the centred products of the signal with its own past, `(lags + 1,)`. With zeros for what lies beyond
-    the ends, a signal that rings as long as its record would seem to be less known.
+    `r` are the centred products of the signal with its own past, `(lags + 1,)`, `head` and `tail` its `lags` first and
+    last samples. With zeros for what lies beyond the ends, a signal that rings as long as its record would seem to be
+    less known.
     """
-    lags = min(prediction.MEMORY, sums.lags)
-    head, tail = sums.head[channel, :lags] - sums.mean[channel], sums.tail[channel, -lags:] - sums.mean[channel]
-    G = products_of_shifts(r[: lags + 1], tail, head)
+    G = products_of_shifts(r, tail, head)
     G[np.diag_indices_from(G)] += prediction.RIDGE * np.trace(G) / len(G)
     known = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=None)[0]
-    return float(G[0, 0] - known @ G[1:, 0]) / max(sums.samples - lags, 1)
+    return float(G[0, 0] - known @ G[1:, 0]) / max(samples - head.size, 1)
 
 
 def by_chance(share: float, samples: int, parameters: float) -> bool:

@@ -59,6 +59,7 @@ class Found:
     iterations: int
     state: int
     plant_whole_p: float = 1.0  # that the noise model holds no mode of the plant
+    residual_p: tuple[float, float] | None = None  # of its residual's tests, once they have been asked for
 
 
 def best_of_starts(data: ChannelData, structure: Structure, search: Search) -> tuple[Found, int]:
@@ -150,10 +151,12 @@ def _raced(data: ChannelData, structure: Structure, search: Search) -> tuple[Fou
     for table in tables:
         # The most trusted one may show at once that the race is not needed.
         ahead = steps if runners else FIRST_STEPS
-        minimum = run_search(data, structure, search, table, min(ahead, search.max_iterations))
+        ended = run_search(data, structure, search, table, min(ahead, search.max_iterations))
+        minimum = _tested(ended, data, structure)
         runners.append(minimum)
         if _passes(minimum, data, structure):
-            minimum = runners[-1] = _further(minimum, data, structure, search, search.max_iterations)
+            further = _further(minimum, data, structure, search, search.max_iterations)
+            minimum = runners[-1] = _tested(further, data, structure)
             if minimum.state == CONVERGED and _passes(minimum, data, structure):
                 return minimum, len(runners)
     tried = len(runners)
@@ -194,7 +197,18 @@ def run_search(
 
 def residual_tests(found: Found, data: ChannelData, structure: Structure) -> tuple[float, float]:
     """Return the p-values that the residual is white, and that neither it nor the noise model holds of the inputs."""
-    e, lags = found.residual, _test_lags(found.residual)
+    white, free = found.residual_p or _residual_p(found.residual, data, structure)
+    return white, min(free, found.plant_whole_p)
+
+
+def _tested(found: Found, data: ChannelData, structure: Structure) -> Found:
+    """Return the end of a search with the p-values of its residual, which are asked for more than once."""
+    return found if found.residual_p else replace(found, residual_p=_residual_p(found.residual, data, structure))
+
+
+def _residual_p(e: FloatArray, data: ChannelData, structure: Structure) -> tuple[float, float]:
+    """Return the p-values that a residual is white and free of the inputs."""
+    lags = _test_lags(e)
     free = data.tests_of_inputs(lags).p_value(e)
     if structure.delay > 0:
         free = unless_answered(
@@ -202,7 +216,7 @@ def residual_tests(found: Found, data: ChannelData, structure: Structure) -> tup
             lambda: data.tests_of_inputs(lags, delayed=True).p_value(e),
             lambda: portmanteau.fed_back(e, data.u).p_value,
         )
-    return whiteness(e, structure), min(free, found.plant_whole_p)
+    return whiteness(e, structure), free
 
 
 def whiteness(e: FloatArray, structure: Structure) -> float:
