@@ -123,6 +123,8 @@ def test_a_drifting_resonance_is_followed(rng):
         assert f_hz[np.argmax(peaks[-1])] == pytest.approx(26.0, abs=0.3)
 
 
+# Of 200 such records three: what follows was begun by a poor fit of 4 s and does not come back, which its status says.
+@pytest.mark.draws(false_alarm=0.03)
 def test_without_forgetting_a_drift_is_averaged_and_said(rng):
     rate_hz = 500.0
     record = resonance(rng, np.linspace(20, 26, 15_000), rate_hz)

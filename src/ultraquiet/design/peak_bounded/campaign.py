@@ -130,44 +130,48 @@ class SearchFromStarts:
         """Return the end of a search on the plants given and on those drawn that decide, and all of these.
 
         It goes on from the first of two ends, by growing shares of the spread where a plant drawn at all of it is
-        unstable or far off: turning the law down for it leads nowhere. Where one still is unstable, the search is made
-        from the second end as well.
+        unstable or far off: turning the law down for it leads nowhere. For the same reason each further search is also
+        made from that end before which stands best on all its plants.
         """
         self._pool = self._drawn(1.0)
         working: list[Scenario] = []
-        best: tuple[ControllerStructure, SearchEnd] | None = (law, ends[0])
+        before, now = [ends[1]], ends[0]
         for turn in range(WIDENINGS):
-            stands = self._stand(law, best[1].theta, self._pool)
+            stands = self._stand(law, now.theta, self._pool)
             if turn == 0 and any(excess > FAR_DB for _, excess in stands):
-                best = self._grown(law, ends[0], given, progress)
-                stands = self._stand(law, best[1].theta, self._pool)
-            theta, worth = best[1].theta, [worth for worth, _ in stands]
-            limit = _worth(best[1].standing) + WORSE_DB
+                *grown, now = self._grown(law, now, given, progress)
+                before += grown
+                stands = self._stand(law, now.theta, self._pool)
+            worth = [worth for worth, _ in stands]
+            limit = _worth(now.standing) + WORSE_DB
             more = [
                 i for i in np.argsort(worth, kind="stable")[::-1] if worth[i] > limit and self._pool[i] not in working
             ][:JOIN]
             if not more:
                 break
             working += [self._pool[i] for i in more]
-            begins = [theta, ends[1].theta] if np.isinf(worth[more[0]]) else [theta]
-            trials = [self._searched(law, each, [*given, *working], self.steps // 2, progress) for each in begins]
-            found = [each for each in trials if each is not None]
-            best = min(found, key=lambda each: _worth(each[1].standing)) if found else None
-            if best is None:
-                break
-        return best, [*given, *working]
+            plants = [*given, *working]
+            best = min((*before, now), key=lambda end: max(worth for worth, _ in self._stand(law, end.theta, plants)))
+            begins = [now] if best is now else [now, best]
+            trials = [self._searched(law, each.theta, plants, self.steps // 2, progress) for each in begins]
+            found = [each[1] for each in trials if each is not None]
+            if not found:
+                return None, plants
+            before, now = [*before, now], min(found, key=lambda each: _worth(each.standing))
+        return (law, now), [*given, *working]
 
     def _grown(
         self, law: ControllerStructure, end: SearchEnd, given: list[Scenario], progress: Task
-    ) -> tuple[ControllerStructure, SearchEnd]:
-        """Return the end of searches on the plants given and on those that stand worst at growing shares of spread."""
-        best = (law, end)
+    ) -> list[SearchEnd]:
+        """Return an end and those of searches from it on the plants given and the worst at growing shares of spread."""
+        ends = [end]
         for share in SHARES:
             pool = self._drawn(share)
-            worth = [worth for worth, _ in self._stand(law, best[1].theta, pool)]
+            worth = [worth for worth, _ in self._stand(law, ends[-1].theta, pool)]
             worst = [pool[i] for i in np.argsort(worth, kind="stable")[::-1][:JOIN]]
-            best = self._searched(law, best[1].theta, [*given, *worst], self.steps // 4, progress) or best
-        return best
+            found = self._searched(law, ends[-1].theta, [*given, *worst], self.steps // 4, progress)
+            ends += [] if found is None else [found[1]]
+        return ends
 
     def _stand(
         self, law: ControllerStructure, theta: FloatArray, pool: Sequence[Scenario]
