@@ -12,7 +12,6 @@ from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
 ROUNDS = 60  # of alternating least squares
 TRIAL_ROUNDS = 6  # of it by which horizons are compared
 GAIN = 1e-5  # share of the error by which a round must lower it for another to follow
-SETTLED = 1e-13  # the same of the last rounds: one more or one fewer, which may hang on rounding, moves a peak by 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ class SubspaceStart:
 
     def settled(self) -> modal_least_squares.Modes:
         """Return the modes after the last rounds of least squares, their poles where they were."""
-        return modal_least_squares.alternate(self.bank, self.modes.c, ROUNDS, SETTLED)
+        return modal_least_squares.alternate(self.bank, self.modes.c, ROUNDS, GAIN)
 
     def innovations(self, data: fit.Scaled) -> FloatArray:
         """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""
