@@ -93,9 +93,7 @@ def test_of_two_modes_at_one_place_one_leaves(rng):
     true = plant.poles()[plant.poles().imag > 0]
     shared = int(np.argmin(np.abs(np.abs(np.log(true)) * RATE_HZ / (2 * np.pi) - 40.0)))
     alone = modal_least_squares.FilterBank(true, data.u, data.y, False, True)
-    modes = modal_least_squares.alternate(
-        alone, rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4)), 20, 1e-6
-    )
+    modes = modal_least_squares.alternate(alone, rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4)), 20)
     bank = modal_least_squares.FilterBank(np.append(true, true[shared] ** 1.0003), data.u, data.y, False, True)
     b, c = np.vstack([modes.b, modes.b[shared]]), np.column_stack([modes.c, modes.c[:, shared]])
     b[-1, :-1] = np.linalg.norm(b[shared]) * rng.standard_normal(3)

@@ -21,7 +21,7 @@ SPACING = 1.06  # from one filter's frequency to the next
 SLOWEST = 8.0  # periods that a record must hold of a mode that is sought
 FASTEST = 0.9 * np.pi  # radians a sample
 FINER = (0.03, 0.015, 0.008)  # steps by which the best filter is then moved, in the logarithm of frequency and damping
-ROUNDS, GAIN = 20, 1e-5  # of alternating least squares, and what one must gain for another to follow
+ROUNDS = 6  # of alternating least squares
 TRIAL_ROUNDS = 4  # of it by which modes that may leave are compared
 MEMORY = 8  # samples of the autoregressions that tell how much of the error's power is noise at a frequency
 MOST = 3  # modes put in at most
@@ -85,7 +85,7 @@ def narrowed(bank: FilterBank, modes: Modes) -> tuple[FilterBank, Modes]:
     for gone in _leaving(modes, np.argsort(modal_least_squares.carried(bank, modes), kind="stable")):
         kept = np.setdiff1d(np.arange(modes.poles.size), gone)
         other = bank.only(kept)
-        tried.append((other, modal_least_squares.alternate(other, modes.c[:, kept], TRIAL_ROUNDS, GAIN)))
+        tried.append((other, modal_least_squares.alternate(other, modes.c[:, kept], TRIAL_ROUNDS)))
     return min(tried[1:] or tried, key=lambda one: modal_least_squares.cost(*one))
 
 
@@ -105,7 +105,7 @@ def _joined(
     c = np.column_stack([modes.c[:, kept], _direction(error, sought.data.u, pole)])
     pairs_first = np.argsort(poles.imag == 0.0, kind="stable")
     bank = sought.bank(poles[pairs_first])
-    return bank, modal_least_squares.alternate(bank, c[:, pairs_first], ROUNDS, GAIN)
+    return bank, modal_least_squares.alternate(bank, c[:, pairs_first], ROUNDS)
 
 
 def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float, predicts: bool = False) -> Result:

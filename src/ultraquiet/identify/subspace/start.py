@@ -9,9 +9,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify.result import NO_NOISE
 from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
 
-ROUNDS = 60  # of alternating least squares
+ROUNDS = 30  # of alternating least squares
 TRIAL_ROUNDS = 6  # of it by which horizons are compared
-GAIN = 1e-5  # share of the error by which a round must lower it for another to follow
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +51,7 @@ class SubspaceStart:
         transition = hankel.transition(horizon.basis, horizon.values, order, horizon.factor.ny)
         poles, directions, _ = fit.modes_of(*transition)
         bank = bank_at(poles)
-        modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
+        modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS)
         return cls(modal_least_squares.cost(bank, modes), horizon, modes, order, bank)
 
     @property
@@ -72,7 +71,7 @@ class SubspaceStart:
         criterion. A loop takes a reading before it sends a command: a D that is not there costs it a sample of delay.
         """
         bank = self.bank.without_feedthrough()
-        modes = modal_least_squares.alternate(bank, self.modes.c, TRIAL_ROUNDS, GAIN)
+        modes = modal_least_squares.alternate(bank, self.modes.c, TRIAL_ROUNDS)
         other = replace(self, loss=modal_least_squares.cost(bank, modes), bank=bank, modes=modes)
         floor = NO_NOISE * bank.power / bank.n
         misses = [np.log(np.maximum(b.loss(m), floor)) for b, m in ((bank, modes), (self.bank, self.modes))]
@@ -81,7 +80,7 @@ class SubspaceStart:
 
     def settled(self) -> modal_least_squares.Modes:
         """Return the modes after the last rounds of least squares, their poles where they were."""
-        return modal_least_squares.alternate(self.bank, self.modes.c, ROUNDS, GAIN)
+        return modal_least_squares.alternate(self.bank, self.modes.c, ROUNDS)
 
     def innovations(self, data: fit.Scaled) -> FloatArray:
         """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""

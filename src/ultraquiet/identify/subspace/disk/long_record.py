@@ -29,7 +29,7 @@ from ultraquiet.identify.subspace import (
 )
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
-from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Horizon, SubspaceStart
+from ultraquiet.identify.subspace.start import ROUNDS, Horizon, SubspaceStart
 from ultraquiet.linalg import balance, portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status, StatusWord
@@ -195,7 +195,7 @@ def _replenished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceS
     if np.array_equal(other.poles, modes.poles):
         return best
     bank = _bank(settings, data, "subspace: least squares with modes that were missed", other.poles)
-    modes = alternate(bank, other.c, missing_modes.ROUNDS, GAIN)
+    modes = alternate(bank, other.c, missing_modes.ROUNDS)
     loss = modal_least_squares.cost(bank, modes)
     return replace(best, loss=loss, bank=bank, modes=modes) if loss < best.loss else best
 
@@ -208,7 +208,7 @@ def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStar
     refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
-    modes = alternate(bank, directions, ROUNDS, GAIN)
+    modes = alternate(bank, directions, ROUNDS)
     better = modal_least_squares.cost(bank, modes) < modal_least_squares.cost(best.bank, best.modes)
     return modes if better else best.modes, steps, converged
 
