@@ -181,6 +181,7 @@ def test_the_subspace_model_is_that_of_the_record_in_memory(rng, tmp_path):
 
 @pytest.mark.slow
 def test_refined_on_a_piece_and_fitted_to_the_whole(rng, tmp_path):
+    """Where modes that a search's end misses are not put in, ten of forty such records end at 83 to 96 %."""
     _, record, clean = modal_truth(rng, 80_000)
     disk = stored(tmp_path, record)
     fits = {}

@@ -18,6 +18,7 @@ from ultraquiet.identify.subspace import (
     missing_modes,
     modal_least_squares,
     order_selection,
+    pole_search,
     unexcited,
 )
 from ultraquiet.identify.subspace.disk.long_record import identify_long_subspace
@@ -26,8 +27,6 @@ from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import Horizon, SubspaceStart
 from ultraquiet.values import Record
 from ultraquiet.values.handed_over.kinds import takes_values
-
-RETURNS = 4  # to the search with modes that its end had missed
 
 
 @register("identify", "subspace")
@@ -125,48 +124,10 @@ class Subspace(SubspaceSettings):
     def _replenished(self, data: fit.Scaled, start: SubspaceStart) -> SubspaceStart:
         if self.refine:
             return start
-        bank, modes = missing_modes.replenished(start.bank, start.modes, self._sought(data))
+        bank, modes = missing_modes.replenished(start.bank, start.modes, pole_search.sought(self, data))
+        if not np.array_equal(modes.poles, start.modes.poles):  # as of a record on disk, sought there on a stretch
+            modes = modal_least_squares.alternate(bank, modes.c, missing_modes.ROUNDS)
         return replace(start, bank=bank, modes=modes, loss=modal_least_squares.cost(bank, modes))
-
-    def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
-        return missing_modes.Sought(data, bool(self.feedthrough), self.offset, self.given_order is None)
-
-    def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> fit.SystemFit:
-        """Return the system of least simulated error, modes that it misses put in and sought with the others."""
-        sought = self._sought(data)
-        found = fit.refined_simulation(fit.system(modes), data, self.options())
-        steps = found.steps
-        bank, modes = sought.fitted(found.system)
-        for _ in range(RETURNS):
-            other_bank, other = missing_modes.replenished(bank, modes, sought)
-            if np.array_equal(other.poles, modes.poles):
-                detour = self._by_a_detour(data, modes)
-                if detour is None:
-                    break
-                (other_bank, other), more = detour
-                steps += more
-            trial = fit.refined_simulation(fit.system(other), data, self.options())
-            other_bank, other = sought.fitted(trial.system)
-            steps += trial.steps
-            if not modal_least_squares.cost(other_bank, other) < modal_least_squares.cost(bank, modes):
-                break
-            found, bank, modes = trial, other_bank, other
-        return fit.SystemFit(found.system, steps, found.converged)
-
-    def _by_a_detour(
-        self, data: fit.Scaled, modes: modal_least_squares.Modes
-    ) -> tuple[tuple[FilterBank, modal_least_squares.Modes], int] | None:
-        """Return other modes for a search that ended with one missing though none is faint, and the steps to them.
-
-        Two that share the place of one each carry much, and only beside the missing one does either become idle: it is
-        put in, all are sought, and then the one that is missed least leaves. None where the error shows no mode.
-        """
-        sought = self._sought(data)
-        wide = None if sought.may_grow else missing_modes.widened(modes, sought)
-        if wide is None:
-            return None
-        found = fit.refined_simulation(fit.system(wide[1]), data, self.options())
-        return missing_modes.narrowed(*sought.fitted(found.system)), found.steps
 
     def _finished(self, record: Record, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> Result:
         """Return the result of a search on `heard`, the data topped up where they are silent, judged on the data."""
@@ -181,7 +142,7 @@ class Subspace(SubspaceSettings):
     def _searched(self, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> fit.SystemFit:
         """Return the system with its noise gain, in scaled units."""
         if self.refine:
-            system, steps, converged = self._refined(heard, start.modes)
+            system, steps, converged = pole_search.refined(self, heard, start.modes)
         else:
             system, steps, converged = fit.system(start.settled()), 0, True
         system = replace(system, K=fit.noise_gain(system, start.innovations(data), data))

@@ -25,6 +25,7 @@ from ultraquiet.identify.subspace import (
     missing_modes,
     modal_least_squares,
     order_selection,
+    pole_search,
     unexcited,
 )
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
@@ -188,8 +189,7 @@ def _stretch(data: ScaledStream) -> fit.Scaled:
 
 def _replenished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> SubspaceStart:
     """Return the start, faint modes replaced by those that its error on one stretch shows, where that serves all."""
-    grows = settings.given_order is None
-    sought = missing_modes.Sought(_stretch(data), bool(settings.feedthrough), settings.offset, grows)
+    sought = pole_search.sought(settings, _stretch(data))
     bank, modes = sought.fitted(fit.system(best.modes))
     _, other = missing_modes.replenished(bank, modes, sought)
     if np.array_equal(other.poles, modes.poles):
@@ -204,8 +204,7 @@ def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStar
     """Return the modes after the last rounds, poles refined when asked for, the search's steps and its end."""
     if not settings.refine:
         return best.settled(), 0, True
-    piece = _stretch(data)
-    refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
+    refined, steps, converged = pole_search.refined(settings, _stretch(data), best.modes)
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
     modes = alternate(bank, directions, ROUNDS)
